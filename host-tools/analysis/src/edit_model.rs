@@ -104,25 +104,6 @@ pub(crate) fn check_effects(
     Ok(notes)
 }
 
-/// The effects in the form that the model's base requires.
-pub fn channelwise(model: &ModelFile, effects: Vec<EffectTerm>) -> Result<Vec<EffectTerm>> {
-    let Some(axes) = model.force_axes() else {
-        return Ok(effects);
-    };
-    let mut all = Vec::new();
-    for effect in effects {
-        let effect = effect.for_polynomial(axes);
-        if matches!(effect, EffectTerm::Channelwise(_)) && axes == [false; 2] {
-            bail!(
-                "{} acts through a force on the flexures, but the model has no force input",
-                effect.name()
-            );
-        }
-        all.push(effect);
-    }
-    Ok(all)
-}
-
 /// Checks that an effect is identifiable from these recordings; returns a note for each constant covariate.
 fn check_identifiable(
     effect: &EffectTerm,
@@ -134,6 +115,11 @@ fn check_identifiable(
     if base == BaseKind::Polynomial && effect.stage().needs_geometry() {
         bail!(
             "{name} moves or changes the magnet, but a polynomial has no magnet; use a model with the cylinder base"
+        );
+    }
+    if base == BaseKind::Polynomial && effect.is_function_of_force() {
+        bail!(
+            "{name} depends on the forces alone, and a polynomial of the forces contains it; fit with a larger --degree"
         );
     }
     if name == SCREW_BACKLASH.id && !all.iter().any(|other| other.name() == NEIGHBOUR_MAGNET.id) {

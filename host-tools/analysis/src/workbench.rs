@@ -40,7 +40,6 @@ pub struct Workbench {
     sample: FitSetup,
     /// Effects of the catalogue that these recordings can test.
     testable: Vec<EffectTerm>,
-    force_axes: Option<[bool; 2]>,
     options: FitOptions,
     models: Vec<WorkbenchModel>,
 }
@@ -137,8 +136,7 @@ impl Workbench {
         let fit = setup.fit(&[], setup.split(&[]), options, |_| ())?;
         let provenance = Provenance::of(&campaign, alignment.delay_us, options)?;
         let model = ModelFile::with_effects(&campaign, &setup, &fit, &[], provenance);
-        let force_axes = model.force_axes();
-        let (testable, untestable) = candidates(&campaign, base, force_axes, &[], &[]);
+        let (testable, untestable) = candidates(&campaign, Some(&model), &[], &[]);
         let findings = merge(scanned.findings, model_findings(&reader, &model, &[])?);
         if findings.iter().any(|finding| finding.stops) {
             return Ok(Err(findings));
@@ -152,7 +150,6 @@ impl Workbench {
             campaign,
             setup,
             testable,
-            force_axes,
             options,
             models: Vec::new(),
         }))
@@ -187,18 +184,12 @@ impl Workbench {
     }
 
     fn fit(&self, effects: &[EffectTerm]) -> Result<WorkbenchModel> {
-        let own: Vec<EffectTerm> = match self.force_axes {
-            Some(axes) => {
-                effects.iter().map(|effect| effect.clone().for_polynomial(axes)).collect()
-            }
-            None => effects.to_vec(),
-        };
-        let mut notes = check_effects(&own, self.base, &self.campaign, &self.setup)?;
-        let fit = self.setup.fit(&own, self.setup.split(&own), self.options, |_| ())?;
+        let mut notes = check_effects(effects, self.base, &self.campaign, &self.setup)?;
+        let fit = self.setup.fit(effects, self.setup.split(effects), self.options, |_| ())?;
         let provenance =
             Provenance::of(&self.campaign, self.reader.alignment.delay_us, self.options)?;
-        let model = ModelFile::with_effects(&self.campaign, &self.setup, &fit, &own, provenance);
-        let stage = FittedModel { effects: own, fit };
+        let model = ModelFile::with_effects(&self.campaign, &self.setup, &fit, effects, provenance);
+        let stage = FittedModel { effects: effects.to_vec(), fit };
         let candidates = self.screen(&stage);
         let name = effects.iter().map(EffectTerm::name).collect::<Vec<_>>().join(" + ");
         let name = if name.is_empty() { "base".to_owned() } else { name };

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use analysis::compare::campaign_reader::read_campaign;
-use analysis::edit_model::{channelwise, find_effects, refit};
+use analysis::edit_model::{find_effects, refit};
 use anyhow::{Result, bail};
 use model_export::effects::EffectTerm;
 use model_export::model_file::{self, ModelFile};
@@ -38,7 +38,7 @@ fn edit(
     let options = args.input.fit.options();
     let campaign = read_campaign(&args.input.campaign, alignment)?;
     let before = model.effect_terms(&args.input.model)?;
-    let after = channelwise(&model, edit_effects(&model, &before, &campaign)?)?;
+    let after = edit_effects(&model, &before, &campaign)?;
     let edited = refit(campaign, &model, before, after, alignment, options)?;
     print_notes(&edited.notes);
     terminal::print_result(args.input.fit.json, || to_json(&edited), || format_report(&edited))?;

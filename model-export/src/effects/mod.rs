@@ -5,14 +5,12 @@
 //! - [`excitation`]: forces and covariates of one sensor over a recording.
 //! - [`operators`]: stop operator, low pass, delay, smoothing.
 //! - [`state_series`]: from forces to states, effect by effect.
-//! - [`channelwise`]: flexure effects for bases without geometry.
 //! - [`expression`]: user-defined effects, written as formulas.
 //!
 //! An effect is defined once, by its action on the state ([`Effect::apply`]). Its regressors in the field
 //! are the derivatives of that action with respect to its coefficients, so the two cannot disagree.
 
 pub mod catalogue;
-pub mod channelwise;
 pub mod excitation;
 pub mod expression;
 pub mod operators;
@@ -24,7 +22,6 @@ use std::sync::Arc;
 use nalgebra::Vector3;
 
 pub use catalogue::{CATALOGUE, UnknownEffect, find};
-pub use channelwise::Channelwise;
 pub use excitation::ExcitationSeries;
 pub use expression::Expression;
 pub use parameter::{Aggregation, EffectParameter, MagnitudeSpec, ParameterKind, ParameterScope};
@@ -185,8 +182,6 @@ pub struct Effect {
 pub enum EffectTerm {
     /// Of the catalogue.
     Catalogue(&'static Effect),
-    /// A flexure effect with a base that has no geometry.
-    Channelwise(Channelwise),
     /// User-defined.
     Expression(Arc<Expression>),
 }
@@ -202,7 +197,6 @@ impl EffectTerm {
     pub fn name(&self) -> &str {
         match self {
             Self::Catalogue(effect) => effect.id,
-            Self::Channelwise(channelwise) => channelwise.effect().id,
             Self::Expression(expression) => &expression.name,
         }
     }
@@ -211,8 +205,6 @@ impl EffectTerm {
     pub fn stage(&self) -> EffectStage {
         match self {
             Self::Catalogue(effect) => effect.stage,
-            // Its responses are added to the sensor's reading; the flexures are not moved.
-            Self::Channelwise(_) => EffectStage::Sensor,
             Self::Expression(expression) => expression.stage(),
         }
     }
@@ -225,7 +217,6 @@ impl EffectTerm {
                 .iter()
                 .flat_map(|parameter| parameter.repeated(recordings))
                 .collect(),
-            Self::Channelwise(channelwise) => channelwise.parameters(recordings),
             Self::Expression(expression) => expression.parameters(),
         }
     }
@@ -234,7 +225,6 @@ impl EffectTerm {
     pub fn size(&self) -> MagnitudeSpec {
         match self {
             Self::Catalogue(effect) => effect.size,
-            Self::Channelwise(channelwise) => channelwise.size(),
             Self::Expression(expression) => expression.size(),
         }
     }
@@ -269,7 +259,6 @@ impl EffectTerm {
             self.stage() <= EffectStage::Flexure || self.stage() == EffectStage::Opening;
         let has_memory = match self {
             Self::Catalogue(_) => false,
-            Self::Channelwise(_) => true,
             Self::Expression(formula) => formula.has_memory(),
         };
         !has_memory && !on_force_or_opening
@@ -280,23 +269,19 @@ impl EffectTerm {
         self.effect().is_some_and(|effect| effect.reads.contains(&earlier.stage()))
     }
 
+    /// True where the field depends on it through the present forces alone.
+    pub fn is_function_of_force(&self) -> bool {
+        match self {
+            Self::Catalogue(effect) => matches!(effect.device, DeviceForm::Tables),
+            Self::Expression(formula) => formula.depends_on_forces_alone(),
+        }
+    }
+
     /// The underlying effect of the catalogue; `None` for a user-defined one.
     pub fn effect(&self) -> Option<&'static Effect> {
         match self {
             Self::Catalogue(effect) => Some(effect),
-            Self::Channelwise(channelwise) => Some(channelwise.effect()),
             Self::Expression(_) => None,
-        }
-    }
-
-    /// The form for a base without geometry: flexure effects become channelwise. `axes`: whether a lateral
-    /// and a longitudinal force were recorded.
-    pub fn for_polynomial(self, axes: [bool; 2]) -> Self {
-        match self {
-            Self::Catalogue(effect) if effect.stage == EffectStage::Flexure => {
-                Self::Channelwise(Channelwise::new(effect, axes))
-            }
-            other => other,
         }
     }
 
@@ -309,7 +294,6 @@ impl EffectTerm {
     pub fn apply(&self, values: &[f64], excitation: &ExcitationSeries, series: &mut StateSeries) {
         match self {
             Self::Catalogue(effect) => (effect.apply)(values, excitation, series),
-            Self::Channelwise(channelwise) => channelwise.apply(values, excitation, series),
             Self::Expression(expression) => expression.apply(values, excitation, series),
         }
     }

@@ -88,8 +88,7 @@ impl FitSetup {
         })
     }
 
-    /// With polynomials of the recorded forces, of the given degree or of the degree with the best held-out
-    /// error.
+    /// With polynomials of the recorded forces, of the given degree or of the least degree that serves all sensors.
     ///
     /// # Errors
     /// Several forces along one axis: effects could not be assigned to one of them.
@@ -257,11 +256,25 @@ fn polynomials(
     options: FitOptions,
     done: impl Fn(u32) + Sync,
 ) -> Result<Vec<(SensorRows, PolynomialFit)>, FitError> {
-    in_order(campaign.sensors().par_iter().map(|&sensor| {
+    let rows = in_order(campaign.sensors().par_iter().map(|&sensor| {
         let rows = SensorRows::with_recorded_forces(campaign, sensor)?;
-        rows.check_excitation(campaign)?;
-        let fit = polynomial::fit(&rows, degree, options)?;
-        done(sensor);
-        Ok((rows, fit))
+        rows.check_excitation(campaign).map(|()| rows)
+    }))?;
+    if let (Some(degree @ 1..), Some(first)) = (degree, rows.first())
+        && rows.iter().all(|rows| rows.forces.is_empty())
+    {
+        return Err(FitError::DegreeWithoutForce { sensor: first.sensor, degree });
+    }
+    let fits = in_order(rows.par_iter().map(|rows| {
+        polynomial::fit(rows, degree, options).inspect(|_| done(rows.sensor))
+    }))?;
+    // All sensors have the degree that one of them needs: effects that are not in the model yet hide the curvature of another.
+    let common = fits.iter().map(|fit| fit.model.degree).max();
+    in_order(rows.into_par_iter().zip(fits).map(|(rows, fit)| {
+        if Some(fit.model.degree) == common || rows.forces.is_empty() {
+            return Ok((rows, fit));
+        }
+        let raised = polynomial::fit(&rows, common, options)?;
+        Ok((rows, PolynomialFit { tried: fit.tried, ..raised }))
     }))
 }

@@ -156,7 +156,7 @@ pub struct PolynomialFit {
 }
 
 /// Fits one sensor with a polynomial of `degree`, or of the lowest degree whose held-out error is within 1 % of
-/// the best up to [`MAX_DEGREE`]. Without forces the degree is zero.
+/// the best up to [`MAX_DEGREE`]. Without forces the degree is zero whatever is stated.
 pub fn fit(
     rows: &SensorRows,
     degree: Option<usize>,
@@ -164,9 +164,6 @@ pub fn fit(
 ) -> Result<PolynomialFit, FitError> {
     let spans = rows.force_spans();
     let degrees = match (degree, rows.forces.is_empty()) {
-        (Some(stated), true) if stated > 0 => {
-            return Err(FitError::DegreeWithoutForce { sensor: rows.sensor, degree: stated });
-        }
         (_, true) => 0..=0,
         (Some(stated), false) => stated..=stated,
         // At least the first, for the error.

@@ -168,7 +168,6 @@ pub fn build_model(
                 matches!(known.device, DeviceForm::Field(_) | DeviceForm::Force(_))
             }
             EffectTerm::Expression(_) => true,
-            EffectTerm::Channelwise(_) => false,
         };
         let conditions = board_conditions(&effect.needs());
         (is_on_device && !conditions.is_empty()).then(|| (effect.name().to_owned(), conditions))

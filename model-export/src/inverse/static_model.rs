@@ -38,7 +38,6 @@ impl StaticModel {
                 matches!(effect.device, DeviceForm::Tables | DeviceForm::Settled)
             }
             EffectTerm::Expression(formula) => formula.depends_on_forces_alone(),
-            EffectTerm::Channelwise(_) => false,
         };
         let mut own: Vec<_> =
             effects.iter().filter(|(effect, _)| belongs(effect)).cloned().collect();

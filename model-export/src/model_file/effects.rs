@@ -75,16 +75,11 @@ impl EffectModel {
             .collect()
     }
 
-    /// The effect with a polynomial base of forces along `axes` (lateral, longitudinal) or, with `None`, with
-    /// the cylinder base. The covariates of a formula were validated when it was added.
-    pub fn term(&self, axes: Option<[bool; 2]>) -> Result<EffectTerm, String> {
+    /// The effect. The covariates of a formula were validated when it was added.
+    pub fn term(&self) -> Result<EffectTerm, String> {
         let Some(text) = &self.expression else {
-            let effect =
-                EffectTerm::Catalogue(find(&self.name).map_err(|error| error.to_string())?);
-            return Ok(match axes {
-                Some(axes) => effect.for_polynomial(axes),
-                None => effect,
-            });
+            let effect = find(&self.name).map_err(|error| error.to_string())?;
+            return Ok(EffectTerm::Catalogue(effect));
         };
         let covariates = Expression::covariate_names(text);
         let expression = Expression::parse(text, &self.ranges, &covariates)

@@ -142,23 +142,21 @@ impl ModelFile {
 
     /// Degree of the polynomials; `None` with the cylinder base.
     pub fn degree(&self) -> Option<usize> {
-        Some(self.sensors.first()?.polynomial.as_ref()?.degree)
+        self.sensors.iter().map(|sensor| Some(sensor.polynomial.as_ref()?.degree)).max()?
     }
 
-    /// Whether any polynomial depends on a lateral and on a longitudinal force (see
-    /// [`EffectTerm::for_polynomial`]); `None` with the cylinder base.
-    pub fn force_axes(&self) -> Option<[bool; 2]> {
-        let forces = self.sensors.iter().filter_map(|s| s.polynomial.as_ref());
-        let forces: Vec<&String> = forces.flat_map(|table| &table.forces).collect();
-        let any = |end: &str| forces.iter().any(|name| name.ends_with(end));
-        (self.base == BaseKind::Polynomial).then(|| [any("_x_n"), any("_z_n")])
+    /// Whether the field of any sensor depends on a force.
+    pub fn has_force_input(&self) -> bool {
+        let is_constant = |sensor: &SensorModel| {
+            sensor.polynomial.as_ref().is_some_and(|table| table.forces.is_empty())
+        };
+        !self.sensors.iter().all(is_constant)
     }
 
     /// The effects, validated.
     pub fn effect_terms(&self, path: &Path) -> Result<Vec<EffectTerm>, DataError> {
-        let axes = self.force_axes();
         let term = |effect: &EffectModel| {
-            effect.term(axes).map_err(|advice| {
+            effect.term().map_err(|advice| {
                 let kind = ErrorKind::bad_value(effect.name.as_str(), advice);
                 kind.at(Location::file(path).column("effect"))
             })

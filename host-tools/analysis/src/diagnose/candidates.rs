@@ -6,7 +6,7 @@ use crate::statistics::mean_and_std;
 use model_export::effects::excitation::{BUILT_IN_COVARIATES, OPENING_RATE, source_column};
 use model_export::effects::{CATALOGUE, EffectTerm};
 use model_export::fit::score_test::{CandidateScore, ScoreTest};
-use model_export::model_file::BaseKind;
+use model_export::model_file::{BaseKind, ModelFile};
 use model_export::recordings::{Campaign, Recording};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -23,11 +23,11 @@ pub struct UntestableEffect {
     pub record: String,
 }
 
-/// Effects that these recordings can test, and those that they cannot.
+/// Effects that these recordings can test in addition to a model (by default of the magnet, which needs all forces), and those that
+/// they cannot.
 pub fn candidates(
     campaign: &Campaign,
-    base: BaseKind,
-    axes: Option<[bool; 2]>,
+    model: Option<&ModelFile>,
     present: &[EffectTerm],
     own: &[EffectTerm],
 ) -> (Vec<EffectTerm>, Vec<UntestableEffect>) {
@@ -35,7 +35,7 @@ pub fn candidates(
     let catalogue = CATALOGUE.iter().map(|effect| EffectTerm::Catalogue(effect));
     let all = catalogue.chain(own.iter().cloned());
     for candidate in all.filter(|candidate| !present.contains(candidate)) {
-        match obstacle(&candidate, campaign, base, axes) {
+        match obstacle(&candidate, campaign, model) {
             Some(reason) => untestable.push(UntestableEffect {
                 effect: candidate.name().to_owned(),
                 reason,
@@ -43,10 +43,7 @@ pub fn candidates(
                     .effect()
                     .map_or_else(String::new, |effect| effect.record.to_owned()),
             }),
-            None => testable.push(match axes {
-                Some(axes) => candidate.for_polynomial(axes),
-                None => candidate,
-            }),
+            None => testable.push(candidate),
         }
     }
     (testable, untestable)
@@ -56,15 +53,18 @@ pub fn candidates(
 fn obstacle(
     candidate: &EffectTerm,
     campaign: &Campaign,
-    base: BaseKind,
-    axes: Option<[bool; 2]>,
+    model: Option<&ModelFile>,
 ) -> Option<Reason> {
-    if base == BaseKind::Polynomial && candidate.stage().needs_geometry() {
-        return Some(Reason::NeedsGeometry);
-    }
-    let flexure = |axes: [bool; 2]| candidate.clone().for_polynomial(axes) != *candidate;
-    if axes.is_some_and(|axes| axes == [false; 2] && flexure(axes)) {
-        return Some(Reason::NeedsForce);
+    if let Some(model) = model.filter(|model| model.base == BaseKind::Polynomial) {
+        if candidate.stage().needs_geometry() {
+            return Some(Reason::NeedsGeometry);
+        }
+        if candidate.is_function_of_force() {
+            return Some(Reason::InPolynomial);
+        }
+        if candidate.stage().acts_on_force() && !model.has_force_input() {
+            return Some(Reason::NeedsForce);
+        }
     }
     for column in candidate.needs() {
         let columns = campaign.recordings.iter().map(|recording| values(recording, &column));

@@ -38,6 +38,7 @@ pub fn forward_selection(
 ) -> Result<Selection> {
     let mut selection = Selection {
         steps: Vec::new(),
+        unconfirmed: Vec::new(),
         stages: vec![FittedModel::new(
             prepared,
             present.to_vec(),

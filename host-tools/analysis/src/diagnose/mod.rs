@@ -171,6 +171,8 @@ pub enum Reason {
     BelowBound(f64),
     /// It acts on the magnet, which a polynomial does not model.
     NeedsGeometry,
+    /// It depends on the present forces alone: a polynomial of them contains it.
+    InPolynomial,
     /// It acts through a force, and none was recorded.
     NeedsForce,
     /// A column was not recorded.
@@ -282,7 +284,7 @@ pub fn diagnose(
     let sample = prepared.sampled_by_fold(SELECTION_ROWS);
     let present: Vec<EffectTerm> = model.effect_terms(path)?;
     let (testable, untestable) =
-        candidates(campaign, model.base, model.force_axes(), &present, own);
+        candidates(campaign, Some(model), &present, own);
     let mut selection =
         forward_selection(campaign, (&sample, &prepared), &present, &testable, options, observer)?;
     let mut formulas = discover(campaign, &sample, &testable, &mut selection, options, observer)?;
@@ -290,6 +292,7 @@ pub fn diagnose(
         observer.stage("fitting all rows", ALL_ROWS);
         selection.refit(&prepared, options)?;
     }
+    selection.confirm(&mut formulas);
     let equivalent_formulas =
         equivalent_formulas(campaign, &prepared, &selection, options, observer)?;
     if let Some(last) = selection.stages.last() {

@@ -11,7 +11,6 @@ use model_export::effects::EffectTerm;
 use model_export::fit::FitOptions;
 use model_export::fit::campaign::FitSetup;
 use model_export::fit::score_test::{CandidateScore, ScoreTest};
-use model_export::model_file::BaseKind;
 use model_export::recordings::columns::Axis;
 use model_export::recordings::noise::WhiteNoise;
 use model_export::recordings::recording::ForceSeries;
@@ -34,7 +33,7 @@ pub struct RecordingCheck {
 /// Checks a campaign with the base model of its design. Effects that the campaign contains increase the residual and
 /// may mask others, as in the diagnosis.
 pub fn check_recordings(campaign: &Campaign, options: FitOptions) -> RecordingCheck {
-    let (testable, untestable) = candidates(campaign, BaseKind::Cylinder, None, &[], &[]);
+    let (testable, untestable) = candidates(campaign, None, &[], &[]);
     let mut check = RecordingCheck {
         inconclusive: untestable.iter().map(of_unjudged).collect(),
         ..RecordingCheck::default()

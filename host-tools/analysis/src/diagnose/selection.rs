@@ -2,7 +2,8 @@
 
 use crate::compare::AT_FLOOR;
 use crate::compare::covariates::Covariate;
-use crate::diagnose::candidates::ScreenedEffect;
+use crate::diagnose::DiscoveredFormula;
+use crate::diagnose::candidates::{MIN_GAIN, ScreenedEffect};
 use crate::diagnose::confusable_effects::{Collinearity, Similarity};
 use anyhow::Result;
 use model_export::effects::EffectTerm;
@@ -45,6 +46,8 @@ pub struct AcceptedStep {
 pub struct Selection {
     /// Accepted steps.
     pub steps: Vec<AcceptedStep>,
+    /// Steps accepted on the sample that reduce the error of all rows by nothing.
+    pub unconfirmed: Vec<AcceptedStep>,
     /// Models from the first to the last step.
     pub stages: Vec<FittedModel>,
     /// The last model fitted to all rows, where that separated equivalent effects.
@@ -95,6 +98,23 @@ impl Selection {
             };
         }
         Ok(())
+    }
+
+    /// After a refit: removes the last formulas and steps that do not reduce the error of all rows, and sets the gains of the
+    /// others to those on all rows. An earlier step may raise the error that a later one then lowers.
+    pub fn confirm(&mut self, formulas: &mut Vec<DiscoveredFormula>) {
+        while let [.., before, last] = self.stages.as_slice()
+            && last.gain(before) <= MIN_GAIN
+        {
+            self.stages.pop();
+            if formulas.pop().is_none() {
+                self.unconfirmed.extend(self.steps.pop());
+            }
+        }
+        let gains: Vec<f64> = self.stages.windows(2).map(|pair| pair[1].gain(&pair[0])).collect();
+        let of_steps = self.steps.iter_mut().map(|step| &mut step.gain);
+        let of_formulas = formulas.iter_mut().map(|formula| &mut formula.gain);
+        of_steps.chain(of_formulas).zip(gains).for_each(|(gain, of_all_rows)| *gain = of_all_rows);
     }
 
     /// The steps of which `candidate` explains only another form: other forms explain nearly as much of the residual, or the two

@@ -64,6 +64,13 @@ pub fn conclude(
             diagnosis.verdicts.push(verdict);
         }
     }
+    for step in &selection.unconfirmed {
+        for effect in std::iter::once(&step.chosen).chain(&step.tied) {
+            if !named(effect.name(), &diagnosis.verdicts) {
+                diagnosis.verdicts.push(unconfirmed(effect, step, complete));
+            }
+        }
+    }
     for screened in &selection.last {
         if !named(screened.candidate.name(), &diagnosis.verdicts) {
             diagnosis.verdicts.push(of_rest(screened, complete, selection, &diagnosis.unexplained));
@@ -148,6 +155,20 @@ fn of_step(
         verdicts.push(verdict);
     }
     verdicts
+}
+
+/// Verdict on an effect that reduces the error of the sample, but not that of all rows.
+fn unconfirmed(effect: &EffectTerm, step: &AcceptedStep, complete: bool) -> Verdict {
+    let record = effect.effect().map_or_else(String::new, |effect| effect.record.to_owned());
+    let effect = effect.name().to_owned();
+    let reason = Reason::Unconfirmed;
+    Verdict {
+        provisional: !complete,
+        gain: step.gain,
+        p_adjusted: step.p_adjusted,
+        z_typical: step.z_typical,
+        ..of_unjudged(&UntestableEffect { effect, reason, record })
+    }
 }
 
 fn of_rest(

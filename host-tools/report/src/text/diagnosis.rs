@@ -280,9 +280,9 @@ pub fn formula_heading(diagnosis: &Diagnosis, formula: &DiscoveredFormula) -> St
 pub fn formula_evidence(diagnosis: &Diagnosis, formula: &DiscoveredFormula) -> String {
     let floors = formula_floors(diagnosis, formula);
     format!(
-        "No effect of the catalogue has this form. It reduces the held-out squared error by {:.1} % (family-wise p {:.3}), to \
-         {floors:.2} times the noise floor. It is a formula, not a cause: find what moves with it.",
-        100.0 * formula.gain,
+        "No effect of the catalogue has this form. It {} (family-wise p {:.3}), to {floors:.2} times the noise floor. It is a \
+         formula, not a cause: find what moves with it.",
+        reduction(formula.gain),
         formula.p_value
     )
 }
@@ -654,13 +654,20 @@ pub fn verdict(diagnosis: &Diagnosis) -> String {
     }
 }
 
+/// What a step gains; an earlier step may raise the error that a later one lowers.
+fn reduction(gain: f64) -> String {
+    if gain > 0.0 {
+        format!("reduces the held-out squared error by {:.1} %", 100.0 * gain)
+    } else {
+        "reduces the held-out squared error together with the later steps".to_owned()
+    }
+}
+
 /// The reason of a verdict, as a clause.
 pub fn reason(verdict: &Verdict) -> String {
     let z = verdict.z_typical;
     let mut text = match &verdict.reason {
-        Reason::ReducesError => {
-            format!("it reduces the cross-validated squared error by {:.1} %", 100.0 * verdict.gain)
-        }
+        Reason::ReducesError => format!("it {}", reduction(verdict.gain)),
         Reason::Equivalent => {
             "each of them explains the same; these recordings cannot distinguish them".to_owned()
         }
@@ -701,6 +708,9 @@ pub fn reason(verdict: &Verdict) -> String {
         }
         Reason::NeedsGeometry => {
             "it acts on the magnet, which a polynomial does not model".to_owned()
+        }
+        Reason::InPolynomial => {
+            "it depends on the forces alone, and the polynomial of the forces contains it".to_owned()
         }
         Reason::NeedsForce => "it acts through a force, and no force was recorded".to_owned(),
         Reason::NotRecorded(column) => format!("{column} was not recorded"),
@@ -747,7 +757,10 @@ pub fn short_reason(verdict: &Verdict) -> String {
             }
         }
         Reason::NotRecorded(column) => format!("no {column}"),
-        Reason::NeedsGeometry | Reason::NeedsForce | Reason::DoesNotVary(_) => SEE_BELOW.to_owned(),
+        Reason::NeedsGeometry
+        | Reason::InPolynomial
+        | Reason::NeedsForce
+        | Reason::DoesNotVary(_) => SEE_BELOW.to_owned(),
         Reason::Unfitted(_) => "base model not fitted".to_owned(),
     }
 }

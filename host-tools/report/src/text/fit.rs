@@ -147,7 +147,9 @@ fn degree_table(fits: &[PolynomialFit]) -> String {
         table.add_row(labels.into_iter().chain(errors).collect::<Vec<_>>());
     }
     terminal::right_align(&mut table, 2);
-    format!("Held-out error in G by degree of the polynomial\n{table}\n")
+    format!(
+        "Held-out error in G by degree of the polynomial; all sensors have the degree that one of them needs\n{table}\n"
+    )
 }
 
 /// Table of the held-out error of every axis.

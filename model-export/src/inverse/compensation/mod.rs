@@ -105,7 +105,6 @@ impl OwnedCompensation {
                     | DeviceForm::Never(_) => {}
                 },
                 // A polynomial, the only base with channel-wise effects, has no inverse.
-                EffectTerm::Channelwise(_) => {}
                 // In the tables of the inverse model.
                 EffectTerm::Expression(formula) if formula.depends_on_forces_alone() => {}
                 EffectTerm::Expression(formula) => match converter.map(formula, values)? {

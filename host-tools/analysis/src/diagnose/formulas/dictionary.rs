@@ -14,8 +14,8 @@ use crate::diagnose::formulas::candidate::Candidate;
 use crate::diagnose::formulas::chain_points::ChainPoint;
 use crate::diagnose::formulas::rows::{Windows, averaged, excitations};
 
-/// Covariates with which a function of searched period is multiplied.
-const FACTORS_OF_PERIODS: [&str; 2] = ["fx_n", "fz_n"];
+/// The forces; functions of searched period are multiplied with them only.
+const FORCES: [&str; 2] = ["fx_n", "fz_n"];
 
 /// Numbers in a line of the processor's cache.
 const CACHE_LINE: usize = 8;
@@ -84,7 +84,12 @@ impl Dictionary {
         let mut defined = columns.iter().map(Option::is_some);
         atoms.retain(|_| defined.next().unwrap_or(false));
         let columns: Vec<Vec<Arc<Vec<f64>>>> = columns.into_iter().flatten().collect();
-        let terms = terms(&atoms);
+        let mut terms = terms(&atoms);
+        if setup.design.is_none() {
+            // A polynomial of the forces contains these: they are a matter of its degree.
+            let is_force = |factor: &usize| FORCES.contains(&atoms[*factor].covariate.as_str());
+            terms.retain(|term| !term.iter().all(is_force));
+        }
         let index: BTreeMap<String, usize> =
             terms.iter().enumerate().map(|(i, term)| (text(&atoms, term), i)).collect();
         let partners = terms.iter().map(|term| index.get(&partner_text(&atoms, term)?).copied());
@@ -221,7 +226,7 @@ fn terms(atoms: &[Atom]) -> Vec<Vec<usize>> {
             let searched = |periodic: &Atom, factor: &Atom| {
                 periodic.partner().is_some()
                     && !periodic.parameters.is_empty()
-                    && FACTORS_OF_PERIODS.contains(&factor.covariate.as_str())
+                    && FORCES.contains(&factor.covariate.as_str())
                     && factor.complexity == 1.0
             };
             let both = one.is_factor && other.is_factor;

@@ -147,6 +147,7 @@ pub fn state(
             Reason::NotRecorded(column) => format!("{column} was not recorded"),
             Reason::DoesNotVary(column) => format!("{column} does not vary"),
             Reason::NeedsGeometry => "it needs the design of the sensor".to_owned(),
+            Reason::InPolynomial => "the polynomial of the forces contains it".to_owned(),
             _ => "it needs a force".to_owned(),
         };
         json!({ "name": one.effect, "reason": reason, "record": one.record })
