@@ -28,8 +28,8 @@ use crate::edit_model::check_effects;
 
 /// The models of a campaign.
 pub struct Workbench {
-    /// Setup errors in the recordings.
-    pub findings: Vec<Finding>,
+    /// Setup errors in the recordings' files.
+    findings: Vec<Finding>,
     /// Effects of the catalogue that these recordings cannot test.
     pub untestable: Vec<UntestableEffect>,
     base: BaseKind,
@@ -137,12 +137,12 @@ impl Workbench {
         let provenance = Provenance::of(&campaign, alignment.delay_us, options)?;
         let model = ModelFile::with_effects(&campaign, &setup, &fit, &[], provenance);
         let (testable, untestable) = candidates(&campaign, Some(&model), &[], &[]);
-        let findings = merge(scanned.findings, model_findings(&reader, &model, &[])?);
+        let findings = merge(scanned.findings.clone(), model_findings(&reader, &model, &[])?);
         if findings.iter().any(|finding| finding.stops) {
             return Ok(Err(findings));
         }
         Ok(Ok(Self {
-            findings,
+            findings: scanned.findings,
             untestable,
             base,
             sample: setup.sampled_by_fold(SELECTION_ROWS),
@@ -189,6 +189,8 @@ impl Workbench {
         let provenance =
             Provenance::of(&self.campaign, self.reader.alignment.delay_us, self.options)?;
         let model = ModelFile::with_effects(&self.campaign, &self.setup, &fit, effects, provenance);
+        let findings =
+            merge(self.findings.clone(), model_findings(&self.reader, &model, effects)?);
         let stage = FittedModel { effects: effects.to_vec(), fit };
         let candidates = self.screen(&stage);
         let name = effects.iter().map(EffectTerm::name).collect::<Vec<_>>().join(" + ");
@@ -198,11 +200,11 @@ impl Workbench {
             &model,
             &self.reader,
             Some((&self.setup, &stage.fit)),
-            &self.findings,
+            &findings,
             self.options,
             &mut notes,
         )?;
-        let comparison = Comparison { findings: self.findings.clone(), notes, ..comparison };
+        let comparison = Comparison { findings, notes, ..comparison };
         Ok(WorkbenchModel { effects: effects.to_vec(), model, comparison, candidates, stage })
     }
 

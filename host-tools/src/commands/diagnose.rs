@@ -12,7 +12,7 @@ use model_export::output::{check_output, write_output};
 use crate::commands::args::{CompareArgs, ExprArgs};
 use crate::commands::{INTERRUPTED, first_interrupt, print_notes};
 use analysis::compare::campaign_reader::{Caching, ScannedCampaign};
-use analysis::compare::pipeline::compare_scanned;
+use analysis::compare::pipeline::{compare_scanned, setup_errors_of};
 use analysis::diagnose::observer::{FirstCandidate, Observer};
 use analysis::diagnose::recording_plan::RecordingProposal;
 use analysis::diagnose::suggestions::{Invocation, suggest};
@@ -98,7 +98,9 @@ pub fn run(args: &Args) -> Result<()> {
     let options = input.fit.options();
     let alignment = input.fit.align.alignment()?;
     let scanned = ScannedCampaign::open(&input.campaign, alignment, Caching::Always)?;
-    let (diagnosis, refit) = match &scanned.reader {
+    let findings = setup_errors_of(&scanned, &model, &input.model)?;
+    let is_stopped = findings.iter().any(|finding| finding.stops);
+    let (diagnosis, refit) = match scanned.reader.as_ref().filter(|_| !is_stopped) {
         Some(reader) => {
             let campaign = reader.whole()?;
             let own = args.exprs.parse(&campaign)?;
@@ -123,7 +125,7 @@ pub fn run(args: &Args) -> Result<()> {
             )?;
             drop(observer);
             bar.finish();
-            diagnosis.findings.clone_from(&scanned.findings);
+            diagnosis.findings = findings;
             let formulas = diagnosis.formulas.iter().chain(&diagnosis.equivalent_formulas);
             let discovered = formulas.flat_map(|formula| &formula.effects);
             let own: Vec<_> = own.iter().chain(discovered).cloned().collect();
@@ -139,7 +141,7 @@ pub fn run(args: &Args) -> Result<()> {
             );
             (diagnosis, refit)
         }
-        None => (Diagnosis { findings: scanned.findings.clone(), ..Diagnosis::default() }, None),
+        None => (Diagnosis { findings, ..Diagnosis::default() }, None),
     };
     terminal::print_result(input.fit.json, || to_json(&diagnosis), || format_report(&diagnosis))?;
     if let Some((path, proposal)) = args.plan.as_ref().zip(diagnosis.proposal.as_ref()) {

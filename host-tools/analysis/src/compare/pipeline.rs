@@ -51,12 +51,23 @@ pub fn compare(
 /// A file cannot be read.
 pub fn setup_errors(path: &Path, campaign: &Path, alignment: Alignment) -> Result<Vec<Finding>> {
     let model = ModelFile::read(path)?;
-    let scanned = ScannedCampaign::open(campaign, alignment, Caching::IfFew)?;
+    setup_errors_of(&ScannedCampaign::open(campaign, alignment, Caching::IfFew)?, &model, path)
+}
+
+/// [`setup_errors`] of a campaign that is already open.
+///
+/// # Errors
+/// A recording cannot be read.
+pub fn setup_errors_of(
+    scanned: &ScannedCampaign,
+    model: &ModelFile,
+    path: &Path,
+) -> Result<Vec<Finding>> {
     let of_model = match &scanned.reader {
-        Some(source) => model_findings(source, &model, &model.effect_terms(path)?)?,
+        Some(source) => model_findings(source, model, &model.effect_terms(path)?)?,
         None => Vec::new(),
     };
-    Ok(merge(scanned.findings, of_model))
+    Ok(merge(scanned.findings.clone(), of_model))
 }
 
 /// [`compare`] on a campaign that is already open. `refit` is a fit of the model to all of its recordings, if known.
@@ -71,21 +82,19 @@ pub fn compare_scanned(
     refit: Option<&ModelRefit>,
     options: FitOptions,
 ) -> Result<Comparison> {
-    let ScannedCampaign { folder, findings, reader } = scanned;
-    let stopped = |findings: Vec<Finding>| Comparison {
-        model: path.display().to_string(),
-        campaign: folder.display().to_string(),
-        findings,
-        ..Comparison::default()
-    };
-    let Some(source) = reader else {
-        return Ok(stopped(findings));
-    };
-    source.check_distinct()?;
-    let findings = merge(findings, model_findings(&source, model, &model.effect_terms(path)?)?);
-    if findings.iter().any(|finding| finding.stops) {
-        return Ok(stopped(findings));
+    if let Some(source) = &scanned.reader {
+        source.check_distinct()?;
     }
+    let findings = setup_errors_of(&scanned, model, path)?;
+    let is_stopped = findings.iter().any(|finding| finding.stops);
+    let Some(source) = scanned.reader.filter(|_| !is_stopped) else {
+        return Ok(Comparison {
+            model: path.display().to_string(),
+            campaign: scanned.folder.display().to_string(),
+            findings,
+            ..Comparison::default()
+        });
+    };
     collect(|notes| {
         let refit = refit.map(|refit| (&refit.setup, &refit.fit));
         let mut comparison = evaluate(path, model, &source, refit, &findings, options, notes)?;

@@ -95,7 +95,7 @@ pub fn of_field(comparison: &Comparison) -> Markup {
     html! {
         (table(
             "Field: measured minus modelled, in gauss",
-            &["sensor", "RMS", "mean", "std", "P95", "max", "% of span", "floor", "RMS / floor", "explainable"],
+            &["sensor", "RMS", "mean", "std", "P95", "max", "% of range", "floor", "RMS / floor", "explainable"],
             errors,
         ))
         details {
@@ -139,7 +139,7 @@ pub fn of_forces(comparison: &Comparison) -> Markup {
             "std",
             "P95",
             "greatest",
-            "% of span",
+            "% of range",
             "RMS after tare",
             "floor",
             "RMS / floor",

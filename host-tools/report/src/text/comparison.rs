@@ -114,7 +114,7 @@ fn field_table(comparison: &Comparison) -> String {
         "std",
         "P95",
         "max",
-        "% of span",
+        "% of range",
         "floor / G",
         "x floor",
         "explainable",
@@ -177,8 +177,8 @@ fn floor_sentence(axes: &[FieldAxisErrors]) -> String {
         None => "; slow drift unknown (no rest of 10 s recorded)".to_owned(),
     };
     text += &match mean(&|axis| axis.floor.replicates) {
-        Some(scatter) => format!("; pure error of replicates {scatter}."),
-        None => "; too few replicates for a pure error.".to_owned(),
+        Some(scatter) => format!("; scatter of repeated loads {scatter}."),
+        None => "; too few repeated loads for their scatter.".to_owned(),
     };
     terminal::paragraph(&text)
 }
@@ -194,7 +194,7 @@ fn force_table(comparison: &Comparison) -> String {
         "std",
         "P95",
         "max",
-        "% of span",
+        "% of range",
         "noise / N",
         "x noise",
         "explainable",

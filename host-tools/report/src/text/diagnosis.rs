@@ -19,10 +19,7 @@ use crate::text::{findings, force_error, notes};
 
 /// Result as tables and text.
 pub fn format_report(diagnosis: &Diagnosis) -> String {
-    let mut page = match diagnosis.findings.is_empty() {
-        true => paragraph(NO_FILE_ERRORS) + "\n",
-        false => data_findings(&diagnosis.findings),
-    };
+    let mut page = data_findings(&diagnosis.findings);
     if diagnosis.staircase.is_empty() {
         return page + &paragraph(&verdict(diagnosis));
     }
@@ -48,10 +45,6 @@ pub fn format_report(diagnosis: &Diagnosis) -> String {
     }
     page + &next_commands(&diagnosis.next)
 }
-
-/// A diagnosis does not compare the recordings with the model before it fits it again.
-const NO_FILE_ERRORS: &str = "No setup errors were found in the files of these recordings; `compare` looks for those that only a \
-                              model shows.";
 
 /// Of a diagnosis that was ended early.
 pub const INTERRUPTED_NOTE: &str =
