@@ -4,7 +4,7 @@ use crate::random::{Purpose, stream, uniform};
 use crate::uncatalogued;
 use anyhow::{Context, Result, bail};
 use model_export::effects::catalogue::{HYSTERESIS, NEIGHBOUR_MAGNET, SCREW_BACKLASH};
-use model_export::effects::{CATALOGUE, SimulatedMagnitude, Simulation};
+use model_export::effects::{CATALOGUE, SimulatedMagnitude, Simulation, find};
 use model_export::recordings::error::closest_match;
 use rand::seq::SliceRandom;
 use serde::{Deserialize, Serialize};
@@ -95,7 +95,13 @@ fn unknown(id: &str) -> anyhow::Error {
     let ids: Vec<&str> = EFFECT_KINDS.iter().map(|kind| kind.id).collect();
     let hint = closest_match(id, ids.iter().copied())
         .map_or_else(String::new, |near| format!("did you mean {near}? "));
-    anyhow::anyhow!("unknown effect {id:?}; {hint}available effects: {}", ids.join(", "))
+    let (catalogue, others): (Vec<&str>, Vec<&str>) =
+        ids.into_iter().partition(|id| find(id).is_ok());
+    anyhow::anyhow!(
+        "unknown effect {id:?}; {hint}available effects: {}; beyond the catalogue: {}",
+        catalogue.join(", "),
+        others.join(", ")
+    )
 }
 
 /// Draws `count` different effects near their typical magnitude times `strength`.

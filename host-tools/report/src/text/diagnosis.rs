@@ -15,7 +15,7 @@ use serde_json::{Value, json};
 use crate::text::comparison::{data_findings, dependence, stopped_verdict};
 use crate::text::recording_plan::{self, format_proposal};
 use crate::text::terminal::{self, GOOD, HEADING, NARROW_WIDTH, WARNING};
-use crate::text::{findings, force_error, notes};
+use crate::text::{findings, force_error};
 
 /// Result as tables and text.
 pub fn format_report(diagnosis: &Diagnosis) -> String {
@@ -545,24 +545,14 @@ pub const SHADOW_NOTE: &str = "Shadow: significant by itself, but it explains pa
 /// Note where the residual is at the noise floor.
 pub fn at_floor_note(diagnosis: &Diagnosis) -> String {
     let with = if diagnosis.accepted.is_empty() { "" } else { " with what was found" };
-    let margin = (AT_FLOOR * AT_FLOOR - 1.0).sqrt();
     let force = diagnosis.staircase.last().and_then(|last| last.force);
     let in_newtons = match force {
         None => String::new(),
-        Some(force) if force.excess_n() <= margin * force.noise_n => format!(
-            " The same margin in newtons is an excess of {margin:.2} times the noise; it contains the error of the device's \
-             tables and fixed-point arithmetic, and that of the noise's estimate."
-        ),
-        Some(_) if diagnosis.uncompensated.is_empty() => {
-            " The forces of the device have a larger excess: `replay` shows it by sensor and recording.".to_owned()
-        }
-        Some(_) => {
-            let effects = diagnosis.uncompensated.iter().map(notes::uncompensated);
-            format!(
-                " The forces of the device have a larger excess: {}.",
-                effects.collect::<Vec<_>>().join("; ")
-            )
-        }
+        Some(force) => force_error::larger_excess(&force, &diagnosis.uncompensated).unwrap_or_else(|| format!(
+            " The same margin in newtons is an excess of {:.2} times the noise; it contains the error of the device's \
+             tables and fixed-point arithmetic, and that of the noise's estimate.",
+            force_error::margin()
+        )),
     };
     format!(
         "AT NOISE FLOOR{with}: the error of the field is within {:.0} % of its noise floor, and a further effect would fit \

@@ -267,7 +267,14 @@ fn gain(edit: &ModelEdit) -> String {
     } else {
         format!("but is still {ratio:.1} times the floor: another effect is missing")
     };
-    format!("With {added} the error decreases by {:.1} % {remainder}.", 100.0 * reduction)
+    let force = edit.force.filter(|_| ratio <= AT_FLOOR);
+    let force =
+        force.and_then(|[_, after]| force_error::larger_excess(&after, &edit.uncompensated));
+    format!(
+        "With {added} the error of the field decreases by {:.1} % {remainder}.{}",
+        100.0 * reduction,
+        force.unwrap_or_default()
+    )
 }
 
 /// The object of `--json`.

@@ -1,6 +1,9 @@
 //! The error over all forces through the device's own code, in the words of every command.
 
-use analysis::compare::ForceError;
+use analysis::compare::{AT_FLOOR, ForceError};
+use analysis::notes::UncompensatedEffect;
+
+use crate::text::notes;
 
 /// Of rows that the model was not fitted to.
 pub const HELD_OUT: &str = "held out";
@@ -40,6 +43,24 @@ pub fn change_of(rows: &str, before: &ForceError, after: &ForceError) -> String 
         before.excess_n(),
         after.excess_n()
     )
+}
+
+/// Excess relative to the noise of a force that is as close to its noise as a field at the noise floor.
+pub fn margin() -> f64 {
+    (AT_FLOOR * AT_FLOOR - 1.0).sqrt()
+}
+
+/// Note to a field at its noise floor, where the forces are not; `uncompensated` are effects of the model.
+pub fn larger_excess(force: &ForceError, uncompensated: &[UncompensatedEffect]) -> Option<String> {
+    if force.excess_n() <= margin() * force.noise_n {
+        return None;
+    }
+    let why = if uncompensated.is_empty() {
+        "`replay` shows it by sensor and recording".to_owned()
+    } else {
+        uncompensated.iter().map(notes::uncompensated).collect::<Vec<_>>().join("; ")
+    };
+    Some(format!(" The forces of the device have a larger excess: {why}."))
 }
 
 #[cfg(test)]

@@ -16,7 +16,10 @@ pub fn heading(proposal: &RecordingProposal) -> String {
         (true, _) if proposal.decisions.is_empty() => {
             "Nothing is open that another recording could decide".to_owned()
         }
-        (true, _) => format!("No recordings of up to {MAX_S:.0} s together would decide more"),
+        (true, _) => format!(
+            "No recordings of up to {MAX_S:.0} s together would decide more; those described for each effect need more time, or \
+             what a plan cannot do"
+        ),
         (false, 1) => format!("Plan: a recording of {:.0} s", plan.seconds()),
         (false, count) => format!("Plan: {count} recordings of {:.0} s each", plan.seconds()),
     }
@@ -154,7 +157,7 @@ mod tests {
             RecordingProposal { decisions: vec![decision(&["tip_slope"], 0.0)], ..nothing };
         let text = format_proposal(&hopeless);
         assert!(
-            text.starts_with("No recordings of up to 60 s together would decide more\n"),
+            text.starts_with("No recordings of up to 60 s together would decide more; "),
             "{text}"
         );
     }

@@ -109,8 +109,8 @@ pub fn propose(sources: &[PathBuf]) -> Result<Proposal, DataError> {
     for (name, reason) in &draft.ignored {
         let _ = writeln!(text, "# Not imported: {} ({reason})", quoted(name));
     }
-    let Draft { columns, checks, ignored } = draft;
-    Ok(Proposal { text, columns, checks, ignored })
+    let checks = draft.checks();
+    Ok(Proposal { text, columns: draft.columns, checks, ignored: draft.ignored })
 }
 
 /// The nominal design as a comment.
@@ -204,13 +204,34 @@ struct ClockColumn {
 #[derive(Default)]
 struct Draft {
     columns: Vec<ProposedColumn>,
-    checks: Vec<String>,
+    /// Names of columns, and what to check of all of them; no names where it is the whole file.
+    checks: Vec<(Vec<String>, String)>,
     ignored: Vec<(String, &'static str)>,
 }
 
 impl Draft {
     fn check(&mut self, text: impl Into<String>) {
-        self.checks.push(text.into());
+        self.checks.push((Vec::new(), text.into()));
+    }
+
+    fn check_column(&mut self, name: &str, text: &str) {
+        match self.checks.iter_mut().find(|(names, own)| own == text && !names.is_empty()) {
+            Some((names, _)) if names.iter().any(|own| own == name) => {}
+            Some((names, _)) => names.push(name.to_owned()),
+            None => self.checks.push((vec![name.to_owned()], text.to_owned())),
+        }
+    }
+
+    /// What to check, one line each.
+    fn checks(&self) -> Vec<String> {
+        let line = |(names, text): &(Vec<String>, String)| match names.as_slice() {
+            [] => text.clone(),
+            [first, .., last] if names.len() > 3 => {
+                format!("{first} to {last} ({} columns): {text}", names.len())
+            }
+            _ => format!("{}: {text}", names.join(", ")),
+        };
+        self.checks.iter().map(line).collect()
     }
 
     fn is_used(&self, name: &str) -> bool {
@@ -246,7 +267,7 @@ impl Draft {
         }
         let check = joined(checks);
         if let Some(check) = &check {
-            self.check(format!("{}: {check}", column.name));
+            self.check_column(&column.name, check);
         }
         let from = column.name.clone();
         self.columns.push(ProposedColumn { from, unit, to, range: column.range(), missing, check });
@@ -503,10 +524,7 @@ impl Draft {
         }
         let check = joined(checks);
         if let Some(check) = &check {
-            let text = format!("{}: {check}", column.name);
-            if !self.checks.contains(&text) {
-                self.check(text);
-            }
+            self.check_column(&column.name, check);
         }
         Ok(ClockColumn { name: column.name.clone(), unit, check })
     }
@@ -582,7 +600,7 @@ fn head(first: &[SourceTable], draft: &Draft, one_clock: bool) -> String {
     });
     text.push_str(&names.collect::<Vec<_>>().join(" and "));
     text.push_str(".\n# Please check:\n");
-    for check in &draft.checks {
+    for check in draft.checks() {
         let _ = writeln!(text, "#   {}", check.replace(|c: char| c.is_control(), " "));
     }
     let _ = writeln!(text, "\ndescription = \"\"\none_clock = {one_clock}");
