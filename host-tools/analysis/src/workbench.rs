@@ -189,8 +189,7 @@ impl Workbench {
         let provenance =
             Provenance::of(&self.campaign, self.reader.alignment.delay_us, self.options)?;
         let model = ModelFile::with_effects(&self.campaign, &self.setup, &fit, effects, provenance);
-        let findings =
-            merge(self.findings.clone(), model_findings(&self.reader, &model, effects)?);
+        let findings = merge(self.findings.clone(), model_findings(&self.reader, &model, effects)?);
         let stage = FittedModel { effects: effects.to_vec(), fit };
         let candidates = self.screen(&stage);
         let name = effects.iter().map(EffectTerm::name).collect::<Vec<_>>().join(" + ");

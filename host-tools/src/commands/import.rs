@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use analysis::fit::import_notes;
 use analysis::notes::Note;
 use analysis::progress;
-use anyhow::Result;
+use anyhow::{Result, anyhow};
 use model_export::output::write_new;
 use model_export::recordings::align::Alignment;
 use model_export::recordings::{Campaign, guess, import};
@@ -65,13 +65,21 @@ pub fn run(args: &Args) -> Result<()> {
     let (imported, notices) = import::import(mapping, &args.sources, &args.output, |_| bar.inc(1))?;
     bar.finish_and_clear();
     print_notes(&notices.into_iter().map(Note::Recording).collect::<Vec<_>>());
-    let campaign = Campaign::read(&args.output, Alignment { delay_us: 0.0 }, |_| ())?;
+    let remedy = || {
+        format!(
+            "units and clocks are what {} states: correct `unit` there, and import again to another folder",
+            mapping.display()
+        )
+    };
+    let campaign = Campaign::read(&args.output, Alignment { delay_us: 0.0 }, |_| ())
+        .map_err(|error| anyhow!("{error}; {}", remedy()))?;
     let (notes, error) = import_notes(&campaign)?;
     print_notes(&notes);
     // A channel in another unit looks like permuted axes, too.
     let is_unit =
         |note: &Note| matches!(note, Note::SetupError(finding) if finding.is_channel_unit());
-    let is_refused = error.is_some();
+    let stops = |note: &Note| matches!(note, Note::SetupError(finding) if finding.stops);
+    let is_refused = error.is_some() || notes.iter().any(stops);
     if let Some(error) = error.filter(|_| !notes.iter().any(is_unit)) {
         eprintln!("note: a fit will refuse these recordings: {error}");
     }
@@ -116,7 +124,7 @@ pub fn run(args: &Args) -> Result<()> {
                  [design] (see --help), import again and fit without --base.\n";
     }
     next += &if is_refused {
-        "Next: correct what the note names, and import again to another folder.".to_owned()
+        format!("Next: {}.", remedy())
     } else {
         format!("Next: cargo magpie fit {:?}{base} -o model.toml", args.output)
     };

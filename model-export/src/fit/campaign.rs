@@ -265,9 +265,10 @@ fn polynomials(
     {
         return Err(FitError::DegreeWithoutForce { sensor: first.sensor, degree });
     }
-    let fits = in_order(rows.par_iter().map(|rows| {
-        polynomial::fit(rows, degree, options).inspect(|_| done(rows.sensor))
-    }))?;
+    let fits = in_order(
+        rows.par_iter()
+            .map(|rows| polynomial::fit(rows, degree, options).inspect(|_| done(rows.sensor))),
+    )?;
     // All sensors have the degree that one of them needs: effects that are not in the model yet hide the curvature of another.
     let common = fits.iter().map(|fit| fit.model.degree).max();
     in_order(rows.into_par_iter().zip(fits).map(|(rows, fit)| {

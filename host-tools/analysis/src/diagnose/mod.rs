@@ -283,8 +283,7 @@ pub fn diagnose(
     let prepared = model.fit_setup(campaign, options)?;
     let sample = prepared.sampled_by_fold(SELECTION_ROWS);
     let present: Vec<EffectTerm> = model.effect_terms(path)?;
-    let (testable, untestable) =
-        candidates(campaign, Some(model), &present, own);
+    let (testable, untestable) = candidates(campaign, Some(model), &present, own);
     let mut selection =
         forward_selection(campaign, (&sample, &prepared), &present, &testable, options, observer)?;
     let mut formulas = discover(campaign, &sample, &testable, &mut selection, options, observer)?;
