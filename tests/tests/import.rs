@@ -403,7 +403,7 @@ fn proposal_names_what_it_assumes() {
     let proposal = proposal(&table("time,bx,by,bz,force", 1.0, 1.7e12, true));
     let checks = proposal.checks.join("\n");
     for expected in [
-        "bx: whole numbers without a unit: taken as raw counts",
+        "bx, by, bz: whole numbers without a unit: taken as raw counts",
         "give gauss_per_lsb",
         "force: no unit: taken as newtons; no axis: taken as longitudinal (z)",
         "time: no unit: taken as ms, which makes 1000 rows per second",
@@ -411,6 +411,7 @@ fn proposal_names_what_it_assumes() {
         assert!(checks.contains(expected), "{expected}\n{checks}");
         assert!(proposal.text.contains(expected), "{expected}\n{}", proposal.text);
     }
+    assert!(proposal.text.contains("to = \"s0_x_lsb\" },  # "));
 }
 
 #[test]

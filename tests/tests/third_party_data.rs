@@ -36,7 +36,7 @@ fn rms(fit: &JointFit) -> f64 {
 }
 
 #[test]
-fn drift_hysteresis_and_creep_each_reduce_the_lattice_error() {
+fn drift_and_hysteresis_reduce_the_lattice_error_with_an_impossible_sign() {
     let Some(folder) = real_data("eflesh_normal") else {
         return;
     };
@@ -45,7 +45,7 @@ fn drift_hysteresis_and_creep_each_reduce_the_lattice_error() {
     let prepared = FitSetup::polynomial(&campaign, Some(5), OPTIONS).unwrap();
     let mut effects = Vec::new();
     let mut before = fit(&prepared, &effects);
-    let limits = [("field_drift", 0.40..0.44), ("hysteresis", 0.36..0.40), ("creep", 0.33..0.37)];
+    let limits = [("field_drift", 0.40..0.44), ("hysteresis", 0.34..0.38)];
     assert!((0.70..0.73).contains(&rms(&before)), "{}", rms(&before));
     for (name, limits) in limits {
         effects.push(EffectTerm::Catalogue(find(name).unwrap()));
@@ -56,6 +56,9 @@ fn drift_hysteresis_and_creep_each_reduce_the_lattice_error() {
         }
         before = after;
     }
+    // The field of the lattice lags behind its force with the opposite sign: a diagnosis does not call it friction.
+    let sizes = effect_sizes(&before, &effects, campaign.recordings.len());
+    assert!(sizes[0].is_possible() && !sizes[1].is_possible(), "{sizes:?}");
     let provenance = Provenance::of(&campaign, 0.0, OPTIONS).unwrap();
     let model = ModelFile::with_effects(&campaign, &prepared, &before, &effects, provenance);
     let folder = TempDir::new().unwrap();

@@ -929,7 +929,7 @@ pub fn significance_note(diagnosis: &Diagnosis) -> String {
         String::new()
     };
     format!(
-        "Gain: reduction of the cross-validated squared error. p: p-value adjusted for all candidates \
+        "Gain: reduction of the held-out squared error. p: p-value adjusted for all candidates \
          (wild bootstrap over {} blocks of {:.1} s, seed {}). Present: p below {LEVEL}, gain above {} %, and a lower \
          error in every fold. < b of typical: 95 % upper bound of the magnitude.{sampled}",
         diagnosis.blocks,
@@ -1217,7 +1217,7 @@ mod tests {
         let page = unwrapped(&uncolored(&full()));
         let at = page.find("hysteresis: 7.982±0.010 N, friction force").unwrap();
         assert!(page[at..].contains("typical is 2.5 N Where the finger rubs on a guide"));
-        assert!(page.contains("It reduces the cross-validated squared error by 99.4 %."));
+        assert!(page.contains("It reduces the held-out squared error by 99.4 %."));
     }
 
     #[test]
