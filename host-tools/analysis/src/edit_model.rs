@@ -1,13 +1,17 @@
 //! A model refitted with other effects: the error before and after.
 
-use anyhow::{Result, bail};
-use model_export::effects::EffectTerm;
+use std::sync::Arc;
+
+use anyhow::{Result, anyhow, bail};
 use model_export::effects::catalogue::{NEIGHBOUR_MAGNET, SCREW_BACKLASH};
 use model_export::effects::excitation::{BUILT_IN_COVARIATES, source_column};
+use model_export::effects::expression::ParameterRange;
+use model_export::effects::{EffectTerm, Expression};
 use model_export::fit::FitOptions;
 use model_export::fit::campaign::FitSetup;
 use model_export::fit::effect_size::{EffectSize, effect_sizes};
 use model_export::fit::joint::JointFit;
+use model_export::input::MAX_EFFECTS;
 use model_export::model_file::{BaseKind, ModelFile, Provenance};
 use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
@@ -87,6 +91,37 @@ pub fn refit(
             notes: std::mem::take(notes),
         })
     })
+}
+
+/// Parses formulas over these columns; each receives the ranges of the parameters that it contains.
+///
+/// # Errors
+/// A formula is invalid, or no formula contains the parameter of a range.
+pub fn parse_formulas(
+    formulas: &[String],
+    ranges: &[ParameterRange],
+    columns: &[String],
+) -> Result<Vec<EffectTerm>> {
+    let contains = |formula: &str, range: &ParameterRange| {
+        let separator = |c: char| !(c.is_ascii_alphanumeric() || c == '_');
+        formula.split(separator).any(|name| name == range.name)
+    };
+    for range in ranges {
+        if !formulas.iter().any(|formula| contains(formula, range)) {
+            bail!("the range of {}: no formula has such a name", range.name);
+        }
+    }
+    let parse = |formula: &String| {
+        let own = ranges.iter().filter(|range| contains(formula, range));
+        let own: Vec<ParameterRange> = own.cloned().collect();
+        let effect =
+            Expression::parse(formula, &own, columns).map_err(|error| anyhow!("{error}"))?;
+        Ok(EffectTerm::Expression(Arc::new(effect)))
+    };
+    if formulas.len() > MAX_EFFECTS {
+        bail!("there are {} --expr, and the limit is {MAX_EFFECTS}", formulas.len());
+    }
+    formulas.iter().map(parse).collect()
 }
 
 /// Checks that effects are defined and identifiable on these recordings; returns a note for each constant covariate.

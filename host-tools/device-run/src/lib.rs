@@ -21,6 +21,7 @@ use model_export::inverse::compensation::OwnedCompensation;
 use model_export::inverse::grbf::Grbf;
 use model_export::inverse::quantise::TableSet;
 use model_export::recordings::DataError;
+use model_export::recordings::columns::ChannelLayout;
 use model_export::recordings::description::NominalDesign;
 use model_export::recordings::stream::{RawRow, RawStream};
 
@@ -85,12 +86,52 @@ pub struct DeviceRow {
     pub inputs: AuxiliaryInputs,
 }
 
-/// The walk over the rows of a recording, as inputs of the device, in order.
-pub struct RecordedRows {
-    stream: RawStream,
+/// Channels of rows that are inputs of the device.
+#[derive(Clone, Debug)]
+pub struct InputChannels {
     sensors: Vec<SensorChannels>,
     covariates: CovariateChannels,
     gauss_per_lsb: f64,
+}
+
+impl InputChannels {
+    /// `numbers` are the sensors of the tables; those without a field or a force in the layout are left out.
+    pub fn find(
+        layout: &ChannelLayout,
+        numbers: &[u32],
+        design: Option<&NominalDesign>,
+        gauss_per_lsb: f64,
+    ) -> Self {
+        Self {
+            sensors: SensorChannels::find(numbers, layout),
+            covariates: CovariateChannels::find(layout, design),
+            gauss_per_lsb,
+        }
+    }
+
+    /// Channels of the sensors, in the order of the tables.
+    pub fn sensors(&self) -> &[SensorChannels] {
+        &self.sensors
+    }
+
+    /// A row as the board has it.
+    pub fn row(&self, raw: RawRow) -> DeviceRow {
+        let mut readings = [None; SENSORS];
+        for channels in &self.sensors {
+            if let Some(slot) = readings.get_mut(channels.number as usize) {
+                *slot = Some(channels.reading(&raw, self.gauss_per_lsb));
+            }
+        }
+        let covariates = self.covariates.at(&raw);
+        let inputs = covariates.inputs(self.covariates.pole_pairs());
+        DeviceRow { raw, readings, covariates, inputs }
+    }
+}
+
+/// The walk over the rows of a recording, as inputs of the device, in order.
+pub struct RecordedRows {
+    stream: RawStream,
+    channels: InputChannels,
 }
 
 impl RecordedRows {
@@ -101,17 +142,13 @@ impl RecordedRows {
         design: Option<&NominalDesign>,
         gauss_per_lsb: f64,
     ) -> Self {
-        Self {
-            sensors: SensorChannels::find(numbers, stream.layout()),
-            covariates: CovariateChannels::find(stream.layout(), design),
-            stream,
-            gauss_per_lsb,
-        }
+        let channels = InputChannels::find(stream.layout(), numbers, design, gauss_per_lsb);
+        Self { stream, channels }
     }
 
     /// Channels of the sensors, in the order of the tables.
     pub fn sensors(&self) -> &[SensorChannels] {
-        &self.sensors
+        self.channels.sensors()
     }
 
     /// The recording.
@@ -124,19 +161,8 @@ impl Iterator for RecordedRows {
     type Item = Result<DeviceRow, DataError>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        let raw = match self.stream.next_row().transpose()? {
-            Ok(raw) => raw,
-            Err(error) => return Some(Err(error)),
-        };
-        let mut readings = [None; SENSORS];
-        for channels in &self.sensors {
-            if let Some(slot) = readings.get_mut(channels.number as usize) {
-                *slot = Some(channels.reading(&raw, self.gauss_per_lsb));
-            }
-        }
-        let covariates = self.covariates.at(&raw);
-        let inputs = covariates.inputs(self.covariates.pole_pairs());
-        Some(Ok(DeviceRow { raw, readings, covariates, inputs }))
+        let raw = self.stream.next_row().transpose()?;
+        Some(raw.map(|raw| self.channels.row(raw)))
     }
 }
 

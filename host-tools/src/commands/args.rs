@@ -1,14 +1,13 @@
 //! Arguments that several commands share.
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
+use analysis::edit_model::parse_formulas;
 use anyhow::{Context, Result, anyhow, bail};
 use model_export::design::SensorDesign;
+use model_export::effects::EffectTerm;
 use model_export::effects::expression::ParameterRange;
-use model_export::effects::{EffectTerm, Expression};
 use model_export::fit::FitOptions;
-use model_export::input::MAX_EFFECTS;
 use model_export::output::check_output;
 use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
@@ -152,37 +151,6 @@ impl ExprArgs {
         parse_formulas(&self.expr, &self.range, &columns)
             .map_err(|error| anyhow!("--expr: {error}"))
     }
-}
-
-/// Parses formulas over these columns; each receives the ranges of the parameters that it contains.
-///
-/// # Errors
-/// A formula is invalid, or no formula contains the parameter of a range.
-pub fn parse_formulas(
-    formulas: &[String],
-    ranges: &[ParameterRange],
-    columns: &[String],
-) -> Result<Vec<EffectTerm>> {
-    let contains = |formula: &str, range: &ParameterRange| {
-        let separator = |c: char| !(c.is_ascii_alphanumeric() || c == '_');
-        formula.split(separator).any(|name| name == range.name)
-    };
-    for range in ranges {
-        if !formulas.iter().any(|formula| contains(formula, range)) {
-            bail!("the range of {}: no formula has such a name", range.name);
-        }
-    }
-    let parse = |formula: &String| {
-        let own = ranges.iter().filter(|range| contains(formula, range));
-        let own: Vec<ParameterRange> = own.cloned().collect();
-        let effect =
-            Expression::parse(formula, &own, columns).map_err(|error| anyhow!("{error}"))?;
-        Ok(EffectTerm::Expression(Arc::new(effect)))
-    };
-    if formulas.len() > MAX_EFFECTS {
-        bail!("there are {} --expr, and the limit is {MAX_EFFECTS}", formulas.len());
-    }
-    formulas.iter().map(parse).collect()
 }
 
 /// Parses NAME=FROM..TO.

@@ -1,22 +1,17 @@
 //! `magpie simulate`: generates a campaign of a simulated gripper with known physics.
 
 use analysis::progress;
-use std::path::{Path, PathBuf};
-
-use anyhow::{Result, bail};
-use model_export::design::SensorDesign;
-use model_export::physics::ForwardModel;
+use std::path::PathBuf;
 
 use crate::commands::args::read_design;
-use model_export::output::{StagingDir, check_absent, check_vacant, write_new};
+use anyhow::{Result, bail};
 use report::text::simulate::{format_report, to_json};
 use report::text::terminal;
 use sim::campaign;
 use sim::campaign::plan::RecordingPlan;
-use sim::campaign::settings::CampaignSettings;
-use sim::campaign::truth;
+use sim::campaign::settings::{CampaignSettings, MAX_SENSORS};
 use sim::effects::{EFFECT_KINDS, Effect, EffectKind, draw_random_effects};
-use sim::hall_sensor::{HallScale, NoiseKind};
+use sim::hall_sensor::NoiseKind;
 use sim::motion::Programme;
 
 /// Generate a campaign of a simulated gripper with given or random physical effects.
@@ -127,22 +122,10 @@ pub fn parse_effect(text: &str) -> Result<Effect, String> {
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
     let settings = settings(args)?;
-    let truth_path = match &args.truth {
-        Some(path) => path.clone(),
-        None => truth::default_path(&args.output)?,
-    };
-    truth::check_outside(&truth_path, &args.output)?;
-    check_free(&args.output, &truth_path)?;
-    let staging = StagingDir::new(&args.output, "simulate")?;
     let bar = progress::progress_bar("simulating recordings", settings.numbers().count());
-    let truth = campaign::simulate(&settings, staging.path(), || bar.inc(1))?;
+    let (truth, truth_path) =
+        campaign::write(&settings, &args.output, args.truth.as_deref(), || bar.inc(1))?;
     bar.finish_and_clear();
-    // Both are new, or neither is: another process may have written them in the meantime.
-    write_new(&truth_path, truth.text()?.as_bytes())?;
-    if let Err(error) = staging.commit(&args.output) {
-        let _ = std::fs::remove_file(&truth_path);
-        return Err(error.into());
-    }
     terminal::print_result(
         args.json,
         || to_json(&settings, &truth, &args.output, &truth_path),
@@ -151,66 +134,17 @@ pub fn run(args: &Args) -> Result<()> {
 }
 
 fn settings(args: &Args) -> Result<CampaignSettings> {
-    let at_least_zero = [
-        ("--strength", args.strength),
-        ("--scatter", args.scatter),
-        ("--load", args.load),
-        ("--field-noise", args.field_noise.unwrap_or_default()),
-        ("--reference-noise", args.reference_noise),
-    ];
-    for (option, value) in at_least_zero {
-        if !(value.is_finite() && value >= 0.0) {
-            bail!("{option} {value:?} is not possible here; give a number that is not below zero");
-        }
-    }
-    let at_most = [
-        ("--strength", args.strength, MAX_STRENGTH),
-        ("--field-noise", args.field_noise.unwrap_or_default(), MAX_FIELD_NOISE_G),
-        ("--reference-noise", args.reference_noise, MAX_REFERENCE_NOISE_N),
-    ];
-    for (option, value, max) in at_most {
-        if value > max {
-            bail!("{option} {value:?} is not possible here; give at most {max}");
-        }
-    }
-    if args.scatter > MAX_SCATTER {
-        bail!(
-            "--scatter {:?} is not possible here; beyond {MAX_SCATTER} the parts collide",
-            args.scatter
-        );
-    }
-    if args.load > MAX_LOAD || !args.warmer.is_finite() || args.warmer.abs() > MAX_WARMER_K {
-        bail!(
-            "--load {:?} --warmer {:?} is not possible here; give a load of up to {MAX_LOAD} and up to {MAX_WARMER_K} K either way",
-            args.load,
-            args.warmer
-        );
-    }
-    if !(MIN_SECONDS..=MAX_SECONDS).contains(&args.seconds) {
-        bail!(
-            "--seconds {:?} is not possible here; give {} to {}",
-            args.seconds,
-            MIN_SECONDS,
-            MAX_SECONDS
-        );
+    if !(0.0..=MAX_STRENGTH).contains(&args.strength) {
+        bail!("--strength {:?} is not possible here; give 0 to {MAX_STRENGTH}", args.strength);
     }
     let design = read_design(args.design.as_deref())?;
-    let sensors = args.sensors.unwrap_or(design.sensors);
-    if !(1..=MAX_SENSORS).contains(&sensors) {
-        bail!("sensors = {sensors} is not possible here; give 1 to {MAX_SENSORS}");
-    }
-    check_range(&design)?;
-    Ok(CampaignSettings {
+    let of_design = CampaignSettings::of_design(&design);
+    let settings = CampaignSettings {
         seed: args.seed,
         programme: args.programme,
         recordings: args.recordings,
         seconds: args.seconds,
-        sensors,
-        design: design.nominal(),
-        part: HallScale {
-            gauss_per_lsb: design.sensor.gauss_per_lsb,
-            range_gauss: design.sensor.range_gauss,
-        },
+        sensors: args.sensors.unwrap_or(design.sensors),
         scatter: args.scatter,
         noise: args.noise,
         harder: args.load,
@@ -223,46 +157,11 @@ fn settings(args: &Args) -> Result<CampaignSettings> {
         },
         hidden: args.random_effects.is_some(),
         plan: args.plan.as_deref().map(RecordingPlan::read).transpose()?,
-    })
+        ..of_design
+    };
+    settings.check()?;
+    Ok(settings)
 }
 
 /// Maximum factor on random effects: beyond it all have their maximum.
 const MAX_STRENGTH: f64 = 100.0;
-/// Maximum white noise of the field: a thousand times that of the sensor.
-const MAX_FIELD_NOISE_G: f64 = 350.0;
-/// Maximum white noise of the reference: the design force.
-const MAX_REFERENCE_NOISE_N: f64 = 250.0;
-
-/// Maximum number of simulated sensors; the board reads four.
-const MAX_SENSORS: u32 = 8;
-
-/// Fails if the field at rest exceeds the range of the sensor.
-fn check_range(design: &SensorDesign) -> Result<()> {
-    let rest_g = ForwardModel::nominal(&design.nominal()).field([0.0; 2]).amax();
-    let range_g = design.sensor.range_gauss;
-    if rest_g >= range_g {
-        bail!(
-            "the design's field at rest is {rest_g:.0} G, beyond the sensor's range of {range_g:.0} G; use a weaker magnet or a wider gap"
-        );
-    }
-    Ok(())
-}
-
-/// Minimum length of a recording: the ramp-up of the load.
-const MIN_SECONDS: f64 = 3.0;
-/// Maximum length of a recording: the range of its clocks.
-const MAX_SECONDS: f64 = 3600.0;
-
-/// Above this load the field leaves the sensor's range.
-const MAX_LOAD: f64 = 2.0;
-/// Temperature range of the board.
-const MAX_WARMER_K: f64 = 60.0;
-
-/// At this scatter five standard deviations of the stiffness equal its value.
-const MAX_SCATTER: f64 = 4.0;
-
-fn check_free(campaign: &Path, truth: &Path) -> Result<()> {
-    check_vacant(campaign)?;
-    check_absent(truth)?;
-    Ok(())
-}

@@ -21,10 +21,11 @@ pub mod recording;
 pub mod settings;
 pub mod truth;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use firmware::config::constants;
+use model_export::output::{StagingDir, check_absent, check_vacant, write_new};
 
 use crate::campaign::excitation::Excitation;
 use crate::campaign::gripper::CampaignGripper;
@@ -32,7 +33,37 @@ use crate::campaign::recording::{RecordingWriter, SampleClock};
 use crate::campaign::settings::{CampaignSettings, start_s};
 use crate::campaign::truth::Truth;
 
-/// Writes a campaign into a folder; `done` is called after each recording.
+/// Writes a campaign to a new folder, and its true parameters outside of it (by default next to it); both appear complete. `done` is
+/// called after each recording. Returns the true parameters and their path.
+///
+/// # Errors
+/// The settings are impossible, something has one of the paths, or a file cannot be written.
+pub fn write(
+    settings: &CampaignSettings,
+    output: &Path,
+    truth: Option<&Path>,
+    done: impl Fn(),
+) -> Result<(Truth, PathBuf)> {
+    settings.check()?;
+    let truth_path = match truth {
+        Some(path) => path.to_path_buf(),
+        None => truth::default_path(output)?,
+    };
+    truth::check_outside(&truth_path, output)?;
+    check_vacant(output)?;
+    check_absent(&truth_path)?;
+    let staging = StagingDir::new(output, "simulate")?;
+    let truth = simulate(settings, staging.path(), done)?;
+    // Both are new, or neither is: another process may have written them in the meantime.
+    write_new(&truth_path, truth.text()?.as_bytes())?;
+    if let Err(error) = staging.commit(output) {
+        let _ = std::fs::remove_file(&truth_path);
+        return Err(error.into());
+    }
+    Ok((truth, truth_path))
+}
+
+/// Writes the recordings of a campaign into a folder; `done` is called after each of them.
 ///
 /// # Errors
 /// An effect is given twice, or a file cannot be written.

@@ -2,8 +2,10 @@
 
 use std::ops::RangeInclusive;
 
-use anyhow::Result;
+use anyhow::{Result, bail};
 use firmware::config::constants;
+use model_export::design::SensorDesign;
+use model_export::physics::ForwardModel;
 use model_export::recordings::description::NominalDesign;
 
 use crate::campaign::excitation::Excitation;
@@ -52,7 +54,82 @@ pub struct CampaignSettings {
     pub hidden: bool,
 }
 
+/// Maximum number of simulated sensors; the board reads four.
+pub const MAX_SENSORS: u32 = 8;
+/// Maximum number of recordings of the programme.
+const MAX_RECORDINGS: u32 = 100;
+/// Minimum length of a recording: the ramp-up of the load.
+const MIN_SECONDS: f64 = 3.0;
+/// Maximum length of a recording: the range of its clocks.
+const MAX_SECONDS: f64 = 3600.0;
+/// Maximum white noise of the field: a thousand times that of the sensor.
+const MAX_FIELD_NOISE_G: f64 = 350.0;
+/// Maximum white noise of the reference: the design force.
+const MAX_REFERENCE_NOISE_N: f64 = 250.0;
+/// Above this load the field leaves the sensor's range.
+const MAX_LOAD: f64 = 2.0;
+/// Temperature range of the board.
+const MAX_WARMER_K: f64 = 60.0;
+/// At this scatter five standard deviations of the stiffness equal its value.
+const MAX_SCATTER: f64 = 4.0;
+
 impl CampaignSettings {
+    /// Three recordings of 30 s of a gripper of this design, without effects.
+    pub fn of_design(design: &SensorDesign) -> Self {
+        Self {
+            seed: 1,
+            programme: Programme::Bench,
+            recordings: 3,
+            seconds: 30.0,
+            plan: None,
+            design: design.nominal(),
+            part: HallScale {
+                gauss_per_lsb: design.sensor.gauss_per_lsb,
+                range_gauss: design.sensor.range_gauss,
+            },
+            sensors: design.sensors,
+            scatter: 1.0,
+            noise: NoiseKind::White,
+            harder: 1.0,
+            warmer_k: 0.0,
+            field_noise_g: design.sensor.noise_gauss,
+            reference_noise_n: 0.15,
+            effects: Vec::new(),
+            hidden: false,
+        }
+    }
+
+    /// Checks that such a gripper can be built and its recordings be made.
+    ///
+    /// # Errors
+    /// A value is out of range, or the field at rest exceeds that of the sensor.
+    pub fn check(&self) -> Result<()> {
+        let ranges = [
+            ("scatter", self.scatter, 0.0..=MAX_SCATTER),
+            ("load", self.harder, 0.0..=MAX_LOAD),
+            ("warmer", self.warmer_k, -MAX_WARMER_K..=MAX_WARMER_K),
+            ("field noise", self.field_noise_g, 0.0..=MAX_FIELD_NOISE_G),
+            ("reference noise", self.reference_noise_n, 0.0..=MAX_REFERENCE_NOISE_N),
+            ("seconds", self.seconds, MIN_SECONDS..=MAX_SECONDS),
+            ("sensors", f64::from(self.sensors), 1.0..=f64::from(MAX_SENSORS)),
+            ("recordings", f64::from(self.recordings), 1.0..=f64::from(MAX_RECORDINGS)),
+        ];
+        for (name, value, range) in ranges {
+            if !range.contains(&value) {
+                let (low, high) = (range.start(), range.end());
+                bail!("{name} = {value} is not possible here; give {low} to {high}");
+            }
+        }
+        let rest_g = ForwardModel::nominal(&self.design).field([0.0; 2]).amax();
+        let range_g = self.part.range_gauss;
+        if rest_g >= range_g {
+            bail!(
+                "the design's field at rest is {rest_g:.0} G, beyond the sensor's range of {range_g:.0} G; use a weaker magnet or a wider gap"
+            );
+        }
+        Ok(())
+    }
+
     /// Effects with their magnitude in each sensor.
     ///
     /// # Errors

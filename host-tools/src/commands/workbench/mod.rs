@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use analysis::diagnose::Diagnosis;
+use analysis::edit_model::parse_formulas;
 use analysis::workbench::{Interval, Workbench, WorkbenchModel};
 use anyhow::{Context, Result, anyhow, bail};
 use axum::extract::{DefaultBodyLimit, Query, Request, State};
@@ -29,7 +30,7 @@ use report::text::{findings, terminal};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::commands::args::{FitArgs, parse_formulas, parse_range};
+use crate::commands::args::{FitArgs, parse_range};
 use crate::commands::connection::{PortArgs, ReferenceArgs, default_virtual_board};
 use crate::commands::diagnose::write_plan_file;
 use crate::commands::export::check_compensated;

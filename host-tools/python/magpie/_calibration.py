@@ -1,0 +1,276 @@
+"""Campaigns, and the functions of calibration over them."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import tempfile
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from magpie import _magpie
+from magpie._results import (
+    Comparison,
+    Diagnosis,
+    Edit,
+    Fit,
+    ForceError,
+    Model,
+    Replay,
+    Simulation,
+    Tables,
+    Verdict,
+)
+
+PathLike = str | os.PathLike[str]
+
+
+def _columns(table: Any) -> dict[str, Sequence[float]]:
+    """Columns by name, of a DataFrame or a mapping."""
+    if hasattr(table, "columns") and hasattr(table, "to_numpy"):
+        return {str(name): table[name].to_numpy() for name in table.columns}
+    return dict(table)
+
+
+def _write_csv(path: Path, table: Any) -> None:
+    columns = _columns(table)
+    lengths = {name: len(column) for name, column in columns.items()}
+    if len(set(lengths.values())) > 1:
+        raise ValueError(f"{path.name}: columns of different length: {lengths}")
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        # repr of a float has all of its digits.
+        writer.writerows([value.item() if hasattr(value, "item") else value for value in row] for row in zip(*columns.values()))
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """A folder of recordings; each has the board's rows (hall.csv) and those of the reference sensor (force.csv)."""
+
+    path: Path
+    sensors: list[int]
+    recordings: list[dict[str, Any]]
+    """Folder, rows, seconds and covariates of each."""
+    notes: list[str]
+    _folder: tempfile.TemporaryDirectory | None = field(default=None, repr=False, compare=False)
+
+    @classmethod
+    def read(cls, path: PathLike, *, delay_ms: float = 0.0) -> Campaign:
+        """Reads and checks a campaign.
+
+        Raises `MagpieError` with file, line and column of the first error.
+        """
+        data = json.loads(_magpie.campaign(Path(path), delay_ms))
+        return cls(Path(path), data["sensors"], data["recordings"], data["notes"])
+
+    @classmethod
+    def from_arrays(
+        cls,
+        recordings: Iterable[tuple[Any, Any]],
+        *,
+        folder: PathLike | None = None,
+        design: Mapping[str, Any] | None = None,
+        range_gauss: float | None = None,
+        gauss_per_lsb: float | None = None,
+        description: str = "",
+    ) -> Campaign:
+        """A campaign of pairs of tables: the board's rows and the reference's, each a DataFrame or a mapping of columns.
+
+        Columns have the names of the files: ``t_us`` and ``s0_x_gauss`` (or ``s0_x_lsb`` with `gauss_per_lsb`), ``s0_temp_c``,
+        covariates as ``opening_mm``; ``t_us``, ``f0_x_n`` and ``f0_z_n`` of the reference. ``design`` has the keys of
+        ``[design]`` (gap_mm, stiffness_x_n_per_mm, ..., magnet); without it, fit with ``base="polynomial"``. Without a `folder`
+        the files live in a temporary one, as long as this object.
+        """
+        temporary = None
+        if folder is None:
+            temporary = tempfile.TemporaryDirectory(prefix="magpie-")
+            folder = Path(temporary.name) / "campaign"
+        root = Path(folder)
+        root.mkdir(parents=True)
+        for number, (hall, force) in enumerate(recordings, start=1):
+            place = root / str(number)
+            place.mkdir()
+            _write_csv(place / "hall.csv", hall)
+            _write_csv(place / "force.csv", force)
+            lines = [f"description = {json.dumps(description)}"]
+            if range_gauss is not None:
+                lines.append(f"range_gauss = {float(range_gauss)}")
+            if gauss_per_lsb is not None:
+                lines.append(f"gauss_per_lsb = {float(gauss_per_lsb)}")
+            if design is not None:
+                lines.append("\n[design]")
+                lines += [f"{key} = {_toml(value)}" for key, value in design.items()]
+            (place / "recording.toml").write_text("\n".join(lines) + "\n")
+        read = cls.read(root)
+        return cls(read.path, read.sensors, read.recordings, read.notes, temporary)
+
+    def __fspath__(self) -> str:
+        return str(self.path)
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{key} = {_toml(inner)}" for key, inner in value.items()) + " }"
+    if isinstance(value, str):
+        return json.dumps(value)
+    return repr(value)
+
+
+def fit(
+    campaign: PathLike,
+    output: PathLike | None = None,
+    *,
+    base: str = "cylinder",
+    degree: int | None = None,
+    delay_ms: float = 0.0,
+    seed: int = 1,
+) -> Fit:
+    """Fits the base physics: ``"cylinder"``, the exact field of the design's magnet, or ``"polynomial"`` of the forces."""
+    model = Model.new(output)
+    data = json.loads(_magpie.fit(Path(campaign), model.path, base, degree, delay_ms, seed))
+    return Fit(data, model, data["held_out_rms_g"], ForceError.of(data["force"]))
+
+
+def compare(
+    model: PathLike,
+    campaign: PathLike,
+    other: PathLike | None = None,
+    *,
+    report: PathLike | None = None,
+    delay_ms: float = 0.0,
+    seed: int = 1,
+) -> Comparison:
+    """Compares a model, and optionally another one on the same rows, with recordings; `report` is an HTML file to write."""
+    paths = [None if path is None else Path(path) for path in (other, report)]
+    data = json.loads(_magpie.compare(Path(model), Path(campaign), *paths, delay_ms, seed))
+    return Comparison(data, ForceError.of(data.get("force")))
+
+
+def diagnose(
+    model: PathLike,
+    campaign: PathLike,
+    *,
+    exprs: Sequence[str] = (),
+    ranges: Mapping[str, tuple[float, float]] | None = None,
+    plan: bool = False,
+    progress: Callable[[str, float], Any] | None = None,
+    delay_ms: float = 0.0,
+    seed: int = 1,
+) -> Diagnosis:
+    """Which physical effects the model does not contain, of the catalogue, of your formulas, or of a search for formulas.
+
+    ``exprs``: formulas ``'NAME: TARGET = FORMULA'``, ``ranges`` those of their nonlinear parameters. ``progress`` is called with the
+    stage and the share done (0 to 1). Ctrl-C, or an exception in ``progress``, ends it early.
+    """
+    spans = _ranges(ranges)
+    data = json.loads(
+        _magpie.diagnose_(Path(model), Path(campaign), list(exprs), spans, plan, progress, delay_ms, seed)
+    )
+    names = Verdict.__dataclass_fields__
+    verdicts = [Verdict(**{name: verdict[name] for name in names}) for verdict in data["verdicts"]]
+    return Diagnosis(data, data["accepted"], verdicts, data["at_floor"])
+
+
+def _ranges(ranges: Mapping[str, tuple[float, float]] | None) -> list[tuple[str, float, float]]:
+    return [(name, float(low), float(high)) for name, (low, high) in (ranges or {}).items()]
+
+
+def _edit(model, campaign, output, added, removed, exprs, ranges, delay_ms, seed) -> Edit:
+    new = Model.new(output)
+    data = json.loads(
+        _magpie.edit(
+            Path(model),
+            Path(campaign),
+            new.path,
+            list(added),
+            list(removed),
+            list(exprs),
+            _ranges(ranges),
+            delay_ms,
+            seed,
+        )
+    )
+    force = data["force"]
+    errors = None if force is None else (ForceError.of(force["before"]), ForceError.of(force["after"]))
+    return Edit(data, new, errors)
+
+
+def add(
+    model: PathLike,
+    campaign: PathLike,
+    *effects: str,
+    exprs: Sequence[str] = (),
+    ranges: Mapping[str, tuple[float, float]] | None = None,
+    output: PathLike | None = None,
+    delay_ms: float = 0.0,
+    seed: int = 1,
+) -> Edit:
+    """Adds effects of the catalogue and formulas, refits, and states the error before and after."""
+    if not effects and not exprs:
+        raise ValueError("name an effect (magpie.effects() lists them), or give a formula in exprs")
+    return _edit(model, campaign, output, effects, (), exprs, ranges, delay_ms, seed)
+
+
+def remove(
+    model: PathLike,
+    campaign: PathLike,
+    *effects: str,
+    output: PathLike | None = None,
+    delay_ms: float = 0.0,
+    seed: int = 1,
+) -> Edit:
+    """Removes effects, refits, and states the error before and after."""
+    if not effects:
+        raise ValueError("name an effect of the model")
+    return _edit(model, campaign, output, (), effects, (), None, delay_ms, seed)
+
+
+def replay(
+    model: PathLike,
+    campaign: PathLike,
+    *,
+    network: PathLike | None = None,
+    delay_ms: float = 0.0,
+) -> Replay:
+    """Runs every row of the recordings through the device's code and compares the forces with the reference."""
+    weights = None if network is None else Path(network)
+    data = json.loads(_magpie.replay(Path(model), Path(campaign), weights, delay_ms))
+    return Replay(data, ForceError.of(data["force"]))
+
+
+def export(model: PathLike, output: PathLike, *, network: PathLike | None = None) -> Tables:
+    """Writes the device's tables as Rust source for the firmware."""
+    weights = None if network is None else Path(network)
+    data = json.loads(_magpie.export(Path(model), Path(output), weights))
+    return Tables(data, Path(output))
+
+
+def simulate(
+    output: PathLike,
+    *effects: str,
+    truth: PathLike | None = None,
+    programme: str = "bench",
+    recordings: int = 3,
+    seconds: float = 30.0,
+    sensors: int | None = None,
+    scatter: float = 1.0,
+    seed: int = 1,
+) -> Simulation:
+    """Writes a campaign of a simulated gripper of MAGPIE's design; effects as ``"creep"`` or ``"creep=3"``.
+
+    The true parameters are in a file outside of the campaign (default: next to it).
+    """
+    place = None if truth is None else Path(truth)
+    data = json.loads(
+        _magpie.simulate(Path(output), place, list(effects), programme, recordings, seconds, sensors, scatter, seed)
+    )
+    return Simulation(data, Path(data["campaign"]), Path(data["truth"]))
+
+
+def effects() -> list[dict[str, Any]]:
+    """The catalogue of physical effects."""
+    return json.loads(_magpie.effects())

@@ -1,0 +1,68 @@
+"""The extension module: paths in, JSON out. Use the functions of the package instead."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+__version__: str
+
+class MagpieError(ValueError):
+    """Input that cannot be used, with the remedy."""
+
+    file: str | None
+    line: int | None
+    column: str | None
+    notes: list[str]
+
+Range = tuple[str, float, float]
+Arrays = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+class Device:
+    sensors: list[int]
+    def __init__(self, model: Path, network: Path | None) -> None: ...
+    def reset(self) -> None: ...
+    def rows(self, columns: dict[str, np.ndarray]) -> Arrays: ...
+    def recording(self, folder: Path, delay_ms: float) -> Arrays: ...
+
+def campaign(folder: Path, delay_ms: float) -> str: ...
+def fit(campaign: Path, output: Path, base: str, degree: int | None, delay_ms: float, seed: int) -> str: ...
+def compare(
+    model: Path, campaign: Path, other: Path | None, report: Path | None, delay_ms: float, seed: int
+) -> str: ...
+def diagnose_(
+    model: Path,
+    campaign: Path,
+    exprs: list[str],
+    ranges: list[Range],
+    plans: bool,
+    progress: Callable[[str, float], Any] | None,
+    delay_ms: float,
+    seed: int,
+) -> str: ...
+def edit(
+    model: Path,
+    campaign: Path,
+    output: Path,
+    added: list[str],
+    removed: list[str],
+    exprs: list[str],
+    ranges: list[Range],
+    delay_ms: float,
+    seed: int,
+) -> str: ...
+def replay(model: Path, campaign: Path, network: Path | None, delay_ms: float) -> str: ...
+def export(model: Path, output: Path, network: Path | None) -> str: ...
+def simulate(
+    output: Path,
+    truth: Path | None,
+    effects: list[str],
+    programme: str,
+    recordings: int,
+    seconds: float,
+    sensors: int | None,
+    scatter: float,
+    seed: int,
+) -> str: ...
+def effects() -> str: ...

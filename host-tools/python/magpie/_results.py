@@ -1,0 +1,227 @@
+"""Results as dataclasses, made of the same JSON that the commands print."""
+
+from __future__ import annotations
+
+import html
+import shutil
+import tempfile
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Model:
+    """A model file. One that was made without an output path lives in a temporary folder, as long as this object."""
+
+    path: Path
+    _folder: tempfile.TemporaryDirectory | None = field(default=None, repr=False, compare=False)
+
+    @classmethod
+    def read(cls, path: str | Path) -> Model:
+        """The model at this path."""
+        path = Path(path)
+        if not path.is_file():
+            raise FileNotFoundError(f"{path}: no model file; magpie.fit writes one")
+        return cls(path)
+
+    @classmethod
+    def new(cls, output: str | Path | None) -> Model:
+        """A place for a model that is about to be written."""
+        if output is not None:
+            return cls(Path(output))
+        folder = tempfile.TemporaryDirectory(prefix="magpie-")
+        return cls(Path(folder.name) / "model.toml", folder)
+
+    def save(self, path: str | Path) -> Model:
+        """Copies the file; an existing one is replaced."""
+        shutil.copyfile(self.path, path)
+        return Model(Path(path))
+
+    def __fspath__(self) -> str:
+        return str(self.path)
+
+
+@dataclass(frozen=True)
+class ForceError:
+    """Error of the device's code on held-out rows, RMS over all forces, in newtons."""
+
+    rms_n: float
+    noise_n: float
+    excess_n: float
+    """Root of the difference of their squares, which a better model could remove."""
+
+    @classmethod
+    def of(cls, data: dict[str, float] | None) -> ForceError | None:
+        return None if data is None else cls(data["rms_n"], data["noise_n"], data["excess_n"])
+
+    def __str__(self) -> str:
+        return f"{self.rms_n:.3f} N (noise {self.noise_n:.3f} N, excess {self.excess_n:.3f} N)"
+
+
+@dataclass(frozen=True)
+class _Result:
+    data: dict[str, Any] = field(repr=False)
+    """Everything that the command prints with --json."""
+
+    @property
+    def notes(self) -> list[str]:
+        """What to know about the recordings and the model."""
+        return self.data.get("notes", [])
+
+    def _rows(self) -> list[dict[str, Any]]:
+        raise NotImplementedError
+
+    def to_pandas(self):
+        """The main table as a DataFrame."""
+        import pandas
+
+        return pandas.DataFrame(self._rows())
+
+    def _repr_html_(self) -> str:
+        rows = self._rows()
+        names = [name for name, value in (rows[0] if rows else {}).items() if not isinstance(value, (dict, list))]
+        head = "".join(f"<th>{html.escape(name)}</th>" for name in names)
+
+        def cell(value: Any) -> str:
+            return f"{value:.4g}" if isinstance(value, float) else html.escape(str("" if value is None else value))
+
+        body = "".join("<tr>" + "".join(f"<td>{cell(row.get(name))}</td>" for name in names) + "</tr>" for row in rows)
+        title = html.escape(str(self))
+        return f"<p>{title}</p><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+@dataclass(frozen=True)
+class Fit(_Result):
+    """A fitted base model."""
+
+    model: Model
+    held_out_rms_g: float
+    """Error of the field on held-out rows, RMS over all channels, in gauss."""
+    force: ForceError | None
+    """None with a polynomial, which has no inverse."""
+
+    def _rows(self) -> list[dict[str, Any]]:
+        return self.data["axes"]
+
+    def __str__(self) -> str:
+        return self.data["verdict"]
+
+
+@dataclass(frozen=True)
+class Comparison(_Result):
+    """A model compared with recordings."""
+
+    force: ForceError | None
+
+    @property
+    def findings(self) -> list[dict[str, Any]]:
+        """Setup errors in the recordings."""
+        return self.data["findings"]
+
+    def _rows(self) -> list[dict[str, Any]]:
+        return self.data.get("axes", [])
+
+    def __str__(self) -> str:
+        return self.data["verdict"]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The verdict on one effect."""
+
+    effect: str
+    verdict: str
+    """found, tied, shadow, not_judgeable (inconclusive) or absent."""
+    gain: float
+    """Reduction of the held-out squared error, as a fraction."""
+    p_adjusted: float | None
+    value: float | None
+    std_error: float | None
+    unit: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Diagnosis(_Result):
+    """Which effects a model does not contain."""
+
+    accepted: list[list[str]]
+    """Accepted steps, each one effect or several that these recordings cannot distinguish."""
+    verdicts: list[Verdict]
+    at_floor: bool
+
+    @property
+    def formulas(self) -> list[dict[str, Any]]:
+        """Formulas that explain what no effect of the catalogue does."""
+        return self.data["formulas"]
+
+    @property
+    def next(self) -> list[str]:
+        """Suggested commands."""
+        return self.data["next"]
+
+    def _rows(self) -> list[dict[str, Any]]:
+        return [vars(verdict) for verdict in self.verdicts]
+
+    def __str__(self) -> str:
+        return self.data["verdict"]
+
+
+@dataclass(frozen=True)
+class Edit(_Result):
+    """A model with other effects, before and after."""
+
+    model: Model
+    force: tuple[ForceError, ForceError] | None
+    """Before and after; None where the device cannot compute them."""
+
+    def _rows(self) -> list[dict[str, Any]]:
+        return self.data["effects"]
+
+    def __str__(self) -> str:
+        return self.data["verdict"]
+
+
+@dataclass(frozen=True)
+class Replay(_Result):
+    """The device's code on every row of a campaign."""
+
+    force: ForceError | None
+
+    def _rows(self) -> list[dict[str, Any]]:
+        return [
+            {"recording": recording["name"], **sensor}
+            for recording in self.data["recordings"]
+            for sensor in recording["sensors"]
+        ]
+
+    def __str__(self) -> str:
+        return f"Force error of the device's code: {self.force}"
+
+
+@dataclass(frozen=True)
+class Tables(_Result):
+    """The device's tables as Rust source."""
+
+    path: Path
+
+    def _rows(self) -> list[dict[str, Any]]:
+        return self.data["sensors"]
+
+    def __str__(self) -> str:
+        return f"Tables of {self.data['centres']} radial basis functions: {self.path}"
+
+
+@dataclass(frozen=True)
+class Simulation(_Result):
+    """A simulated campaign."""
+
+    campaign: Path
+    truth: Path
+
+    def _rows(self) -> list[dict[str, Any]]:
+        return self.data["effects"] or []
+
+    def __str__(self) -> str:
+        return f"Simulated campaign {self.campaign}, seed {self.data['seed']}"

@@ -1,0 +1,325 @@
+//! Fit, comparison, diagnosis, edit, replay, export and simulation, as the commands of the same names.
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
+
+use analysis::compare::campaign_reader::{Caching, ScannedCampaign, read_campaign};
+use analysis::compare::pipeline;
+use analysis::diagnose::observer::Observer;
+use analysis::diagnose::suggestions::{Invocation, suggest};
+use analysis::diagnose::{self, Diagnosis};
+use analysis::edit_model::{find_effects, parse_formulas, refit};
+use analysis::fit::fit_model;
+use analysis::replay::evaluation;
+use anyhow::{Context, Result, bail};
+use device_run::networks::NetworkSet;
+use model_export::design::SensorDesign;
+use model_export::effects::expression::ParameterRange;
+use model_export::effects::{CATALOGUE, EffectTerm};
+use model_export::fit::FitOptions;
+use model_export::inverse::build::{ModelVariant, build};
+use model_export::inverse::codegen::{MARK, source_with_networks, tables_source};
+use model_export::model_file::{BaseKind, ModelFile, SIGNATURE};
+use model_export::output::{check_output, write_output};
+use model_export::recordings::Campaign;
+use model_export::recordings::align::Alignment;
+use pyo3::prelude::*;
+use pyo3::types::PyString;
+use report::text;
+use serde_json::{Value, json};
+use sim::campaign::settings::CampaignSettings;
+
+use crate::{interrupt, to_text, with_notes};
+
+/// A formula's nonlinear parameter with the ends of its range.
+type Range = (String, f64, f64);
+
+fn options(seed: u64) -> FitOptions {
+    FitOptions { seed, ..FitOptions::default() }
+}
+
+fn alignment(delay_ms: f64) -> Alignment {
+    Alignment { delay_us: 1e3 * delay_ms }
+}
+
+fn formulas(texts: &[String], ranges: &[Range], campaign: &Campaign) -> Result<Vec<EffectTerm>> {
+    let first = campaign.recordings.first().context("the campaign is empty")?;
+    let columns: Vec<String> = first.covariates.keys().cloned().collect();
+    let range =
+        |(name, from, to): &Range| ParameterRange { name: name.clone(), from: *from, to: *to };
+    let ranges: Vec<ParameterRange> = ranges.iter().map(range).collect();
+    parse_formulas(texts, &ranges, &columns)
+}
+
+/// Fits the base to a campaign and writes the model.
+#[pyfunction]
+fn fit(
+    py: Python<'_>,
+    campaign: PathBuf,
+    output: PathBuf,
+    base: &str,
+    degree: Option<u8>,
+    delay_ms: f64,
+    seed: u64,
+) -> PyResult<Py<PyString>> {
+    let base = match base {
+        "cylinder" => Ok(BaseKind::Cylinder),
+        "polynomial" => Ok(BaseKind::Polynomial),
+        other => Err(format!("base {other:?}: give \"cylinder\" or \"polynomial\"")),
+    };
+    let result = interrupt::run(py, move |_| {
+        let base = base.map_err(anyhow::Error::msg)?;
+        if degree.is_some() && base == BaseKind::Cylinder {
+            bail!("degree requires base \"polynomial\"; the cylinder base has no degree");
+        }
+        check_output(&output, SIGNATURE)?;
+        let fit = fit_model(&campaign, base, degree, alignment(delay_ms), options(seed))?;
+        fit.model.write(&output)?;
+        Ok(with_notes(text::fit::to_json(&fit), &fit.notes))
+    })?;
+    Ok(to_text(py, &result))
+}
+
+/// Compares a model, and the one at `other` on the same rows, with a campaign.
+#[pyfunction]
+fn compare(
+    py: Python<'_>,
+    model: PathBuf,
+    campaign: PathBuf,
+    other: Option<PathBuf>,
+    report: Option<PathBuf>,
+    delay_ms: f64,
+    seed: u64,
+) -> PyResult<Py<PyString>> {
+    let result = interrupt::run(py, move |_| {
+        if let Some(path) = &report {
+            check_output(path, report::html::MARK)?;
+        }
+        let other = other.as_deref();
+        let comparison =
+            pipeline::compare(&model, &campaign, other, alignment(delay_ms), options(seed))?;
+        if let Some(path) = &report {
+            report::html::write(path, &comparison, &[])?;
+        }
+        Ok(with_notes(text::comparison::to_json(&comparison), &comparison.notes))
+    })?;
+    Ok(to_text(py, &result))
+}
+
+/// Diagnoses which effects a model does not contain. `progress` is called with the stage and the share that is done.
+#[pyfunction]
+#[allow(clippy::too_many_arguments, reason = "keywords in Python")]
+fn diagnose_(
+    py: Python<'_>,
+    model: PathBuf,
+    campaign: PathBuf,
+    exprs: Vec<String>,
+    ranges: Vec<Range>,
+    plans: bool,
+    progress: Option<Py<PyAny>>,
+    delay_ms: f64,
+    seed: u64,
+) -> PyResult<Py<PyString>> {
+    let result = interrupt::run(py, move |stop| {
+        let file = ModelFile::read(&model)?;
+        let alignment = alignment(delay_ms);
+        let scanned = ScannedCampaign::open(&campaign, alignment, Caching::Always)?;
+        let findings = pipeline::setup_errors_of(&scanned, &file, &model)?;
+        let is_stopped = findings.iter().any(|finding| finding.stops);
+        let Some(reader) = scanned.reader.filter(|_| !is_stopped) else {
+            let stopped = Diagnosis { findings, ..Diagnosis::default() };
+            return Ok(text::diagnosis::to_json(&stopped));
+        };
+        let rows = reader.whole()?;
+        let own = formulas(&exprs, &ranges, &rows)?;
+        let observer = Observer::new(
+            |stage, share| {
+                if let Some(progress) = &progress {
+                    // An exception in the callback ends the diagnosis early, as Ctrl-C does.
+                    let called = Python::attach(|py| progress.call1(py, (stage, share)).map(drop));
+                    if called.is_err() {
+                        stop.store(true, Ordering::Relaxed);
+                    }
+                }
+            },
+            |_| (),
+            || stop.load(Ordering::Relaxed),
+        );
+        let options = options(seed);
+        let (mut diagnosis, _) =
+            diagnose::diagnose((&rows, alignment), &file, &model, &own, plans, options, &observer)?;
+        drop(observer);
+        diagnosis.findings = findings;
+        let found = diagnosis.formulas.iter().chain(&diagnosis.equivalent_formulas);
+        let found = found.flat_map(|formula| &formula.effects);
+        let own: Vec<EffectTerm> = own.iter().chain(found).cloned().collect();
+        let invocation = Invocation {
+            model: &diagnosis.model,
+            campaign: &diagnosis.campaign,
+            delay_ms,
+            base: file.base,
+            own: &own,
+        };
+        diagnosis.next = suggest(&diagnosis, &invocation);
+        Ok(text::diagnosis::to_json(&diagnosis))
+    })?;
+    Ok(to_text(py, &result))
+}
+
+/// Refits a model with effects added and removed, and writes it.
+#[pyfunction]
+#[allow(clippy::too_many_arguments, reason = "keywords in Python")]
+fn edit(
+    py: Python<'_>,
+    model: PathBuf,
+    campaign: PathBuf,
+    output: PathBuf,
+    added: Vec<String>,
+    removed: Vec<String>,
+    exprs: Vec<String>,
+    ranges: Vec<Range>,
+    delay_ms: f64,
+    seed: u64,
+) -> PyResult<Py<PyString>> {
+    let result = interrupt::run(py, move |_| {
+        check_output(&output, SIGNATURE)?;
+        let file = ModelFile::read(&model)?;
+        let rows = read_campaign(&campaign, alignment(delay_ms))?;
+        let before = file.effect_terms(&model)?;
+        let added = find_effects(&added, &formulas(&exprs, &ranges, &rows)?)?;
+        let name = |name: &String| before.iter().any(|effect| effect.name() == name);
+        if let Some(missing) = removed.iter().find(|removed| !name(removed)) {
+            bail!("{}: the model has no effect {missing}", model.display());
+        }
+        if let Some(present) = added.iter().find(|effect| before.contains(effect)) {
+            bail!("{}: the model already has {}", model.display(), present.name());
+        }
+        let kept = before.iter().filter(|effect| !removed.iter().any(|name| name == effect.name()));
+        let after = kept.cloned().chain(added).collect();
+        let edited = refit(rows, &file, before, after, alignment(delay_ms), options(seed))?;
+        edited.model.write(&output)?;
+        Ok(with_notes(text::edit_model::to_json(&edited), &edited.notes))
+    })?;
+    Ok(to_text(py, &result))
+}
+
+/// Runs every row of a campaign through the device's code.
+#[pyfunction]
+fn replay(
+    py: Python<'_>,
+    model: PathBuf,
+    campaign: PathBuf,
+    network: Option<PathBuf>,
+    delay_ms: f64,
+) -> PyResult<Py<PyString>> {
+    let result = interrupt::run(py, move |_| {
+        let alignment = alignment(delay_ms);
+        let replayed = evaluation::evaluate(&model, &campaign, network.as_deref(), alignment)?;
+        Ok(with_notes(text::replay::to_json(&replayed), &replayed.notes))
+    })?;
+    Ok(to_text(py, &result))
+}
+
+/// Writes the device's tables as Rust source.
+#[pyfunction]
+fn export(
+    py: Python<'_>,
+    model: PathBuf,
+    output: PathBuf,
+    network: Option<PathBuf>,
+) -> PyResult<Py<PyString>> {
+    let result = interrupt::run(py, move |_| {
+        check_output(&output, MARK)?;
+        let built = build(&model, ModelVariant::Fitted)?;
+        if let Some((effect, why)) = built.uncompensated.first() {
+            bail!("the device never compensates {effect}: {why}; remove it from the model");
+        }
+        let networks = network.as_deref().map(|path| NetworkSet::read(path, &built)).transpose()?;
+        let source = match &networks {
+            None => tables_source(&built),
+            Some(set) => source_with_networks(&built, &set.file.networks, &set.packed)?,
+        };
+        write_output(&output, source.as_bytes(), MARK)?;
+        Ok(text::export::to_json(&built.chosen, &built.header))
+    })?;
+    Ok(to_text(py, &result))
+}
+
+/// Writes a campaign of a simulated gripper; its true parameters are in `truth`.
+#[pyfunction]
+#[allow(clippy::too_many_arguments, reason = "keywords in Python")]
+fn simulate(
+    py: Python<'_>,
+    output: PathBuf,
+    truth: Option<PathBuf>,
+    effects: Vec<String>,
+    programme: &str,
+    recordings: u32,
+    seconds: f64,
+    sensors: Option<u32>,
+    scatter: f64,
+    seed: u64,
+) -> PyResult<Py<PyString>> {
+    let programme = programme.to_owned();
+    let result = interrupt::run(py, move |_| {
+        let design = SensorDesign::magpie();
+        let settings = CampaignSettings {
+            effects: effects.iter().map(|text| text.parse()).collect::<Result<_>>()?,
+            programme: serde_json::from_value(json!(programme)).context("programme")?,
+            recordings,
+            seconds,
+            scatter,
+            seed,
+            sensors: sensors.unwrap_or(design.sensors),
+            ..CampaignSettings::of_design(&design)
+        };
+        let (truth, path) = sim::campaign::write(&settings, &output, truth.as_deref(), || ())?;
+        Ok(text::simulate::to_json(&settings, &truth, &output, &path))
+    })?;
+    Ok(to_text(py, &result))
+}
+
+/// The catalogue of effects.
+#[pyfunction]
+fn effects(py: Python<'_>) -> Py<PyString> {
+    to_text(py, &Value::from_iter(CATALOGUE.map(text::effects::to_json)))
+}
+
+/// Summary of a campaign's recordings.
+#[pyfunction]
+fn campaign(py: Python<'_>, folder: PathBuf, delay_ms: f64) -> PyResult<Py<PyString>> {
+    let result = interrupt::run(py, move |_| describe(&folder, delay_ms))?;
+    Ok(to_text(py, &result))
+}
+
+fn describe(folder: &Path, delay_ms: f64) -> Result<Value> {
+    let campaign = read_campaign(folder, alignment(delay_ms))?;
+    let recordings = campaign.recordings.iter().map(|recording| {
+        let ends = recording.time_s.first().zip(recording.time_s.last());
+        json!({
+            "folder": recording.folder,
+            "rows": recording.time_s.len(),
+            "seconds": ends.map_or(0.0, |(first, last)| last - first),
+            "covariates": recording.covariates.keys().collect::<Vec<_>>(),
+        })
+    });
+    let notices = campaign.notices().map(ToString::to_string);
+    Ok(json!({
+        "recordings": recordings.collect::<Vec<_>>(),
+        "sensors": campaign.sensors(),
+        "notes": notices.collect::<Vec<_>>(),
+    }))
+}
+
+/// Adds the functions to the module.
+pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_function(wrap_pyfunction!(fit, module)?)?;
+    module.add_function(wrap_pyfunction!(compare, module)?)?;
+    module.add_function(wrap_pyfunction!(diagnose_, module)?)?;
+    module.add_function(wrap_pyfunction!(edit, module)?)?;
+    module.add_function(wrap_pyfunction!(replay, module)?)?;
+    module.add_function(wrap_pyfunction!(export, module)?)?;
+    module.add_function(wrap_pyfunction!(simulate, module)?)?;
+    module.add_function(wrap_pyfunction!(effects, module)?)?;
+    module.add_function(wrap_pyfunction!(campaign, module)?)
+}

@@ -1,0 +1,42 @@
+//! Work that Ctrl-C can end: on a thread of its own, while the interpreter's thread handles signals.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{self, RecvTimeoutError};
+use std::time::Duration;
+
+use anyhow::Result;
+use pyo3::prelude::*;
+
+use crate::to_python;
+
+/// Interval between two looks at the signals.
+const POLL: Duration = Duration::from_millis(50);
+
+/// Runs `work` without the interpreter's lock; it receives a flag that Ctrl-C sets. Work that does not look at the flag is
+/// finished before the exception is raised.
+pub fn run<T: Send>(
+    py: Python<'_>,
+    work: impl FnOnce(&AtomicBool) -> Result<T> + Send,
+) -> PyResult<T> {
+    let stop = AtomicBool::new(false);
+    py.detach(|| {
+        let (running, ended) = mpsc::channel::<()>();
+        std::thread::scope(|scope| {
+            let stop = &stop;
+            let worker = scope.spawn(move || {
+                let _running = running;
+                work(stop)
+            });
+            let mut interrupt = None;
+            while ended.recv_timeout(POLL) == Err(RecvTimeoutError::Timeout) {
+                if let Err(error) = Python::attach(|py| py.check_signals()) {
+                    stop.store(true, Ordering::Relaxed);
+                    interrupt = Some(error);
+                }
+            }
+            let result = worker.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+            let raise = |error| Python::attach(|py| to_python(py, error));
+            interrupt.map_or_else(|| result.map_err(raise), Err)
+        })
+    })
+}

@@ -1,0 +1,67 @@
+//! Extension module of the Python package `magpie`: the library's functions over paths, and the device over arrays.
+//!
+//! Results cross the border as JSON, the same as `--json` of the command; `magpie/__init__.py` makes dataclasses of it.
+
+mod calibration;
+mod device;
+mod interrupt;
+
+use std::path::PathBuf;
+
+use analysis::notes::{ErrorWithNotes, Note};
+use model_export::recordings::{DataError, Location};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use pyo3::types::PyString;
+use pyo3::{PyTypeInfo, create_exception};
+use report::text::notes;
+use serde_json::{Value, json};
+
+create_exception!(
+    magpie,
+    MagpieError,
+    PyValueError,
+    "Input that cannot be used, with the remedy. Attributes: file, line and column where known (else None), notes."
+);
+
+/// An error with its place as attributes.
+fn to_python(py: Python<'_>, error: anyhow::Error) -> PyErr {
+    let raised = MagpieError::new_err(format!("{error:#}"));
+    let place = error.chain().find_map(|cause| cause.downcast_ref::<DataError>());
+    let place = place.map_or_else(Location::default, |error| (*error.location).clone());
+    let file = (place.file != PathBuf::new()).then_some(place.file);
+    let notes = error.downcast_ref::<ErrorWithNotes>().map_or_else(Vec::new, |e| texts(&e.notes));
+    let value = raised.value(py);
+    let set = value
+        .setattr("file", file)
+        .and_then(|()| value.setattr("line", place.line))
+        .and_then(|()| value.setattr("column", place.column))
+        .and_then(|()| value.setattr("notes", notes));
+    set.err().unwrap_or(raised)
+}
+
+/// Notes as sentences.
+fn texts(list: &[Note]) -> Vec<String> {
+    list.iter().map(notes::text).collect()
+}
+
+/// A result with its notes.
+fn with_notes(mut result: Value, list: &[Note]) -> Value {
+    if let Some(object) = result.as_object_mut() {
+        object.entry("notes").or_insert_with(|| json!(texts(list)));
+    }
+    result
+}
+
+/// JSON as a Python string.
+fn to_text(py: Python<'_>, value: &Value) -> Py<PyString> {
+    PyString::new(py, &value.to_string()).unbind()
+}
+
+#[pymodule]
+fn _magpie(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add("MagpieError", MagpieError::type_object(module.py()))?;
+    module.add("__version__", env!("CARGO_PKG_VERSION"))?;
+    module.add_class::<device::Device>()?;
+    calibration::register(module)
+}
