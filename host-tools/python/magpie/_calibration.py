@@ -74,6 +74,8 @@ class Campaign:
         *,
         folder: PathLike | None = None,
         design: Mapping[str, Any] | None = None,
+        starts_s: Sequence[float] | None = None,
+        covariates: Sequence[str] = (),
         range_gauss: float | None = None,
         gauss_per_lsb: float | None = None,
         description: str = "",
@@ -81,9 +83,11 @@ class Campaign:
         """A campaign of pairs of tables: the board's rows and the reference's, each a DataFrame or a mapping of columns.
 
         Columns have the names of the files: ``t_us`` and ``s0_x_gauss`` (or ``s0_x_lsb`` with `gauss_per_lsb`), ``s0_temp_c``,
-        covariates as ``opening_mm``; ``t_us``, ``f0_x_n`` and ``f0_z_n`` of the reference. ``design`` has the keys of
-        ``[design]`` (gap_mm, stiffness_x_n_per_mm, ..., magnet); without it, fit with ``base="polynomial"``. Without a `folder`
-        the files live in a temporary one, as long as this object.
+        covariates as ``opening_mm``, further ones named in `covariates` with a unit; ``t_us``, ``f0_x_n`` and ``f0_z_n`` of the
+        reference. ``design`` has the keys of ``[design]`` (gap_mm, stiffness_x_n_per_mm, ..., magnet); without it, fit with
+        ``base="polynomial"``. ``starts_s``: start of each recording in seconds since the campaign began (default: each begins at
+        the end of the one before). ``range_gauss``: full scale of the sensor; samples there are left out as saturated. Without
+        a `folder` the files live in a temporary one, as long as this object.
         """
         temporary = None
         if folder is None:
@@ -91,12 +95,17 @@ class Campaign:
             folder = Path(temporary.name) / "campaign"
         root = Path(folder)
         root.mkdir(parents=True)
+        start_s = 0.0
         for number, (hall, force) in enumerate(recordings, start=1):
+            if starts_s is not None:
+                start_s = float(starts_s[number - 1])
             place = root / str(number)
             place.mkdir()
             _write_csv(place / "hall.csv", hall)
             _write_csv(place / "force.csv", force)
-            lines = [f"description = {json.dumps(description)}"]
+            lines = ["format = 1", f"start_s = {start_s}", f"description = {json.dumps(description)}"]
+            if covariates:
+                lines.append(f"covariates = {json.dumps(list(covariates))}")
             if range_gauss is not None:
                 lines.append(f"range_gauss = {float(range_gauss)}")
             if gauss_per_lsb is not None:
@@ -105,6 +114,8 @@ class Campaign:
                 lines.append("\n[design]")
                 lines += [f"{key} = {_toml(value)}" for key, value in design.items()]
             (place / "recording.toml").write_text("\n".join(lines) + "\n")
+            clock = _columns(hall).get("t_us", ())
+            start_s += 1e-6 * float(clock[-1] - clock[0]) if len(clock) else 0.0
         read = cls.read(root)
         return cls(read.path, read.sensors, read.recordings, read.notes, temporary)
 

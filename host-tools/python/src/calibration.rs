@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
+use std::sync::{Mutex, PoisonError};
 
 use analysis::compare::campaign_reader::{Caching, ScannedCampaign, read_campaign};
 use analysis::compare::pipeline;
@@ -120,7 +121,8 @@ fn diagnose_(
     delay_ms: f64,
     seed: u64,
 ) -> PyResult<Py<PyString>> {
-    let result = interrupt::run(py, move |stop| {
+    let raised = Mutex::new(None);
+    let result = interrupt::run(py, |stop| {
         let file = ModelFile::read(&model)?;
         let alignment = alignment(delay_ms);
         let scanned = ScannedCampaign::open(&campaign, alignment, Caching::Always)?;
@@ -134,11 +136,12 @@ fn diagnose_(
         let own = formulas(&exprs, &ranges, &rows)?;
         let observer = Observer::new(
             |stage, share| {
-                if let Some(progress) = &progress {
-                    // An exception in the callback ends the diagnosis early, as Ctrl-C does.
+                if let Some(progress) = progress.as_ref().filter(|_| !stop.load(Ordering::Relaxed))
+                {
                     let called = Python::attach(|py| progress.call1(py, (stage, share)).map(drop));
-                    if called.is_err() {
+                    if let Err(error) = called {
                         stop.store(true, Ordering::Relaxed);
+                        *raised.lock().unwrap_or_else(PoisonError::into_inner) = Some(error);
                     }
                 }
             },
@@ -163,6 +166,10 @@ fn diagnose_(
         diagnosis.next = suggest(&diagnosis, &invocation);
         Ok(text::diagnosis::to_json(&diagnosis))
     })?;
+    // An exception in the callback has ended the diagnosis early.
+    if let Some(error) = raised.into_inner().unwrap_or_else(PoisonError::into_inner) {
+        return Err(error);
+    }
     Ok(to_text(py, &result))
 }
 

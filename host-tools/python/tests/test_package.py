@@ -1,0 +1,208 @@
+"""The package against the command, and the device over arrays against the device on files."""
+
+import json
+import math
+import shutil
+import subprocess
+import threading
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import magpie
+
+ROOT = Path(__file__).resolve().parents[3]
+DATA = ROOT / "tests" / "data"
+
+
+@pytest.fixture(scope="session")
+def command():
+    """The command, as built by the tests of the workspace or found on the path."""
+    built = [ROOT / "target" / profile / "magpie" for profile in ("debug", "release")]
+    found = [str(path) for path in built if path.exists()] + [shutil.which("magpie")]
+    if not found[0]:
+        pytest.fail("build the command first: cargo build --workspace")
+
+    def run(*arguments):
+        line = [found[0], *map(str, arguments), "--json"]
+        done = subprocess.run(line, capture_output=True, text=True, check=True)
+        return json.loads(done.stdout)
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def ripple():
+    return magpie.Campaign.read(DATA / "ripple")
+
+
+@pytest.fixture(scope="session")
+def fitted(ripple):
+    return magpie.fit(ripple)
+
+
+@pytest.fixture(scope="session")
+def improved(ripple, fitted):
+    expr = "ripple: dz_um = a*sin(motor_angle_rad) + b*cos(motor_angle_rad)"
+    return magpie.add(fitted.model, ripple, exprs=[expr])
+
+
+def table_of(recording, name):
+    return pd.read_csv(next(Path(recording["folder"]).glob(f"{name}.csv*")))
+
+
+def test_campaign_is_described(ripple):
+    assert ripple.sensors == [0, 1]
+    folders = [path for path in (DATA / "ripple").iterdir() if path.is_dir()]
+    assert len(ripple.recordings) == len(folders)
+    assert "motor_angle_rad" in ripple.recordings[0]["covariates"]
+
+
+def test_diagnosis_is_that_of_the_command(command, ripple, fitted):
+    stages = []
+    found = magpie.diagnose(
+        fitted.model, ripple, progress=lambda stage, share: stages.append((stage, share))
+    )
+    assert found.data == command("diagnose", fitted.model.path, ripple.path)
+    assert found.formulas[0]["covariates"] == ["motor_angle_rad"]
+    shares = [share for _, share in stages]
+    assert shares == sorted(shares) and 0 <= shares[0] and shares[-1] < 1
+    assert len(found.to_pandas()) == len(found.verdicts)
+    assert "<table>" in found._repr_html_()
+
+
+def test_comparison_and_replay_are_those_of_the_command(command, ripple, fitted):
+    compared = magpie.compare(fitted.model, ripple)
+    expected = command("compare", fitted.model.path, ripple.path)
+    assert {name: compared.data[name] for name in expected} == expected
+    replayed = magpie.replay(fitted.model, ripple)
+    expected = command("replay", fitted.model.path, ripple.path)
+    speeds = [data.pop("times_real_time") for data in (replayed.data, expected)]
+    assert replayed.data == expected and min(speeds) > 1
+    assert replayed.force.rms_n > 1.0
+
+
+def test_added_formula_lowers_the_error_and_is_removed_again(ripple, improved):
+    before, after = improved.force
+    assert before.excess_n > 10 * after.excess_n
+    removed = magpie.remove(improved.model, ripple, "ripple")
+    assert math.isclose(removed.force[1].rms_n, before.rms_n, rel_tol=1e-6)
+
+
+def test_device_over_arrays_has_the_bits_of_the_device_on_the_file(ripple, improved):
+    recording = ripple.recordings[0]
+    device = magpie.Device(improved.model)
+    from_file = device.run_recording(recording["folder"])
+    table = table_of(recording, "hall")
+    device.reset()
+    from_arrays = device.run(table)
+    assert from_arrays.force_n.shape == (len(table), 2, 2)
+    for name in ("time_s", "force_n", "is_valid", "is_disturbed"):
+        np.testing.assert_array_equal(getattr(from_arrays, name), getattr(from_file, name))
+    # Rows continue those before, in parts or one at a time.
+    device.reset()
+    parts = [device.run(table[:700]), device.run(table[700:])]
+    joined = np.concatenate([part.force_n for part in parts])
+    np.testing.assert_array_equal(joined, from_file.force_n)
+    device.reset()
+    step = device.step(dict(table.iloc[0]))
+    np.testing.assert_array_equal(step, from_file.force_n[0])
+
+
+def test_error_of_the_device_is_that_of_the_replay(ripple, improved):
+    replayed = magpie.replay(improved.model, ripple).data["recordings"][0]
+    recording = ripple.recordings[0]
+    estimates = magpie.Device(improved.model).run_recording(recording["folder"])
+    force = table_of(recording, "force")
+    for place, number in enumerate(estimates.sensors):
+        for axis, letter in enumerate("xz"):
+            reference = np.interp(
+                estimates.time_s,
+                1e-6 * force["t_us"],
+                force[f"f{number}_{letter}_n"],
+                left=np.nan,
+                right=np.nan,
+            )
+            error = estimates.force_n[:, place, axis] - reference
+            rmse = np.sqrt(np.nanmean(error[estimates.is_valid[:, place]] ** 2))
+            wanted = [s for s in replayed["sensors"] if (s["sensor"], s["axis"]) == (number, letter)]
+            assert math.isclose(rmse, wanted[0]["rmse_n"], rel_tol=1e-6)
+
+
+def test_arrays_make_the_same_campaign(ripple, fitted):
+    recordings = [
+        (table_of(recording, "hall"), table_of(recording, "force"))
+        for recording in ripple.recordings
+    ]
+    folder = Path(ripple.recordings[0]["folder"])
+    description = tomllib.loads((folder / "recording.toml").read_text())
+    keys = ("range_gauss", "gauss_per_lsb", "design")
+    copy = magpie.Campaign.from_arrays(
+        recordings, **{key: description[key] for key in keys if key in description}
+    )
+    assert copy.sensors == ripple.sensors
+    assert magpie.fit(copy).held_out_rms_g == fitted.held_out_rms_g
+
+
+def test_errors_have_a_place(tmp_path, fitted):
+    broken = tmp_path / "campaign" / "1"
+    broken.mkdir(parents=True)
+    (broken / "recording.toml").write_text("format = 1\nstart_s = 0.0\n")
+    (broken / "hall.csv").write_text("t_us,s0_x_gauss,s0_y_gauss,s0_z_gauss\n0,1,2,3\n1000,1,x,3\n")
+    (broken / "force.csv").write_text("t_us,f0_x_n,f0_z_n\n0,1,2\n1000,1,2\n")
+    with pytest.raises(magpie.MagpieError) as raised:
+        magpie.Campaign.read(tmp_path / "campaign")
+    assert str(raised.value.file).endswith("hall.csv")
+    assert (raised.value.line, raised.value.column) == (3, "s0_y_gauss")
+    with pytest.raises(magpie.MagpieError, match="hysterisis.*did you mean hysteresis"):
+        magpie.simulate(tmp_path / "simulated", "hysterisis")
+    one_sensor = {f"s0_{axis}_gauss": [1.0] for axis in "xyz"}
+    with pytest.raises(magpie.MagpieError, match="s1_x_gauss"):
+        magpie.Device(fitted.model).run(one_sensor)
+    with pytest.raises(magpie.MagpieError, match="row 0"):
+        magpie.Device(fitted.model).run({"s0_x_gauss": [math.nan]})
+
+
+def test_simulation_is_diagnosed_and_exported(tmp_path):
+    simulated = magpie.simulate(
+        tmp_path / "campaign", "viscous_lag=12", sensors=1, seconds=12.0, seed=3
+    )
+    model = magpie.fit(simulated.campaign, tmp_path / "model.toml").model
+    found = magpie.diagnose(model, simulated.campaign)
+    (lag,) = [verdict for verdict in found.verdicts if verdict.effect == "viscous_lag"]
+    assert lag.verdict in ("found", "tied")
+    tables = magpie.export(model, tmp_path / "tables.rs")
+    assert "pub" in tables.path.read_text()
+
+
+def test_other_threads_run_during_a_fit(ripple):
+    counted = 0
+    done = threading.Event()
+
+    def count():
+        nonlocal counted
+        while not done.wait(0.001):
+            counted += 1
+
+    thread = threading.Thread(target=count)
+    thread.start()
+    magpie.fit(ripple)
+    done.set()
+    thread.join()
+    assert counted > 20
+
+
+def test_exception_in_the_progress_ends_the_diagnosis(ripple, fitted):
+    def stop(stage, share):
+        raise RuntimeError(stage)
+
+    with pytest.raises(RuntimeError, match="fitting the model"):
+        magpie.diagnose(fitted.model, ripple, progress=stop)
+
+
+def test_catalogue_is_listed():
+    names = [effect["effect"] for effect in magpie.effects()]
+    assert "hysteresis" in names and len(names) == len(set(names)) >= 20
