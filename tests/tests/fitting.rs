@@ -255,6 +255,43 @@ fn swapped_inverted_and_scaled_columns_are_refused() {
 }
 
 #[test]
+fn forces_of_another_time_or_place_are_named() {
+    let error = |campaign: &Campaign| {
+        campaign::cylinder(campaign, FitOptions::default(), |_| ()).unwrap_err().to_string()
+    };
+    for (delay_s, words) in
+        [(2.0, "2.00 s earlier"), (-3.0, "3.00 s later"), (-0.5, "0.50 s later")]
+    {
+        let alignment = Alignment { delay_us: 1e6 * delay_s };
+        let message = error(&Campaign::read(&data("clean"), alignment, |_| ()).unwrap());
+        let is_named = message.contains("t_us") && message.contains("the two clocks differ");
+        assert!(is_named && message.contains(words), "{delay_s}: {message}");
+    }
+    // Too little is left to find a delay.
+    let alignment = Alignment { delay_us: 8e6 };
+    let message = error(&Campaign::read(&data("clean"), alignment, |_| ()).unwrap());
+    assert!(message.contains("the two clocks probably differ by seconds"), "{message}");
+    for name in ["clean", "demo", "friction", "ripple"] {
+        let mut exchanged = read(&data(name));
+        for recording in &mut exchanged.recordings {
+            let (first, second) =
+                (recording.sensors.remove(&0).unwrap(), recording.sensors.remove(&1).unwrap());
+            recording.sensors.extend([(0, second), (1, first)]);
+        }
+        let message = error(&exchanged);
+        assert!(message.contains("it follows those of place 1"), "{name}: {message}");
+    }
+    // A channel in millitesla that is called gauss.
+    let mut mixed = read(&data("clean"));
+    for recording in &mut mixed.recordings {
+        let sensor = recording.sensors.get_mut(&0).unwrap();
+        sensor.field_g.iter_mut().for_each(|field| field[2] /= 10.0);
+    }
+    let message = error(&mixed);
+    assert!(message.contains("as if its field along z were in mT"), "{message}");
+}
+
+#[test]
 fn fit_from_outside_of_the_free_directions_ends_at_its_minimum() {
     let campaign = read(&data("friction"));
     let rows = SensorRows::with_own_forces(&campaign, 0).unwrap();

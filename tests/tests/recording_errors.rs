@@ -221,8 +221,8 @@ fn an_invalid_number_is_reported_with_line_and_column() {
         ("12,5", "the row has 5 cells where the header has 4"),
         ("--", "\"--\" is not a number"),
         ("", "the cell is empty"),
-        ("20000", "20000 is outside the sensor's 15 bit range"),
-        ("100.5", "100.5 is outside the sensor's 15 bit range"),
+        ("20000", "20000 is not a whole number within the sensor's 15 bit range"),
+        ("100.5", "100.5 is not a whole number within the sensor's 15 bit range"),
     ] {
         let message = error_of(|path, hall, _| {
             fs::write(path.join("hall.csv"), with_cell(&hall, 20, 2, cell)).unwrap();

@@ -133,7 +133,7 @@ pub struct ExprArgs {
     /// User-defined effect: 'NAME: TARGET = FORMULA'.
     #[arg(long, value_name = "FORMULA")]
     expr: Vec<String>,
-    /// Range of a nonlinear parameter of a formula: NAME=FROM..TO.
+    /// Range in which the search for a nonlinear parameter of a formula starts, NAME=FROM..TO; the fit may leave it.
     #[arg(long, value_name = "NAME=FROM..TO", value_parser = parse_range)]
     range: Vec<ParameterRange>,
 }

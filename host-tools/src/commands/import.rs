@@ -65,12 +65,8 @@ pub fn run(args: &Args) -> Result<()> {
     let (imported, notices) = import::import(mapping, &args.sources, &args.output, |_| bar.inc(1))?;
     bar.finish_and_clear();
     print_notes(&notices.into_iter().map(Note::Recording).collect::<Vec<_>>());
-    let remedy = || {
-        format!(
-            "units and clocks are what {} states: correct `unit` there, and import again to another folder",
-            mapping.display()
-        )
-    };
+    let remedy =
+        || format!("units and clocks are what {} states: correct `unit` there", mapping.display());
     let campaign = Campaign::read(&args.output, Alignment { delay_us: 0.0 }, |_| ())
         .map_err(|error| anyhow!("{error}; {}", remedy()))?;
     let (notes, error) = import_notes(&campaign)?;
@@ -124,7 +120,13 @@ pub fn run(args: &Args) -> Result<()> {
                  [design] (see --help), import again and fit without --base.\n";
     }
     next += &if is_refused {
-        format!("Next: {}.", remedy())
+        let is_of_units = notes.iter().any(is_unit);
+        let what = if is_of_units {
+            remedy()
+        } else {
+            format!("correct what the note names in {}", mapping.display())
+        };
+        format!("Next: {what}, and import again to another folder.")
     } else {
         format!("Next: cargo magpie fit {:?}{base} -o model.toml", args.output)
     };

@@ -1,5 +1,7 @@
 //! Magnitude of an effect over all sensors, with its standard error.
 
+use std::borrow::Cow;
+
 use crate::effects::{Aggregation, EffectTerm, MagnitudeSpec};
 use crate::fit::joint::{JointFit, SensorFit};
 
@@ -137,6 +139,26 @@ fn effect_size(
             (value, if shared { of_one } else { error }, None)
         }
     };
+    // Where its usual measure is not determined, the effect may act through another coefficient: the gain of a sensor's drift
+    // instead of the offset.
+    if value.is_nan() || value.abs() < 2.0 * std_error {
+        let others = count..coefficients;
+        let significance = |i: &usize| single(*i).0.abs() / single(*i).1.max(f64::MIN_POSITIVE);
+        let best = others.max_by(|a, b| significance(a).total_cmp(&significance(b)));
+        if let Some(i) = best.filter(|i| significance(i) >= SIGNIFICANT)
+            && let Cow::Borrowed(unit) = parameters[i].unit
+        {
+            let (value, std_error) = single(i);
+            let size = MagnitudeSpec {
+                description: size.description,
+                unit,
+                typical: parameters[i].typical,
+                ..MagnitudeSpec::DEFAULT
+            };
+            let component = Some(format!("here {}", parameters[i].name));
+            return EffectSize { value, std_error, component, size };
+        }
+    }
     EffectSize {
         value: value * size.factor,
         std_error: (std_error * size.factor).hypot(size.resolution),

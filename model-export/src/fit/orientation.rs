@@ -6,6 +6,7 @@
 //! manufacturing tolerances.
 
 use nalgebra::{Matrix3, SMatrix, Vector3};
+use rayon::prelude::*;
 
 use crate::fit::FitError;
 use crate::physics::ForwardModel;
@@ -21,6 +22,17 @@ const MIN_FORCE_SIGMA_N: f64 = 1.0;
 const MIN_FORCE_SHARE: f64 = 0.3;
 /// Maximum correlation of the two forces of a recording for their slopes to be identifiable.
 const MAX_CORRELATION: f64 = 0.95;
+/// Fraction of a field's variance below which its forces do not explain it, and above which others do.
+const UNEXPLAINED: f64 = 0.5;
+const EXPLAINED: f64 = 0.8;
+/// Step of the search of a delay in seconds.
+const DELAY_STEP_S: f64 = 0.02;
+/// Minimum overlap of field and forces under a delay (short pieces of periodic loads agree under wrong delays), and of the two tables
+/// of a recording, as a fraction.
+const MIN_OVERLAP: f64 = 0.5;
+const MIN_COVERED: f64 = 0.6;
+/// Units of a field by mistake, in gauss.
+const FIELD_UNITS_G: [(&str, f64); 3] = [("mT", 10.0), ("uT", 0.01), ("T", 1e4)];
 /// Units of a force by mistake, in newtons, and the maximum factor between one and the sensitivity's ratio to nominal.
 const FORCE_UNITS_N: [(&str, f64); 5] =
     [("kN", 1e3), ("kgf", 9.806_65), ("lbf", 4.448_222), ("gf", 9.806_65e-3), ("mN", 1e-3)];
@@ -32,7 +44,7 @@ const SAME_UNIT: f64 = 1.4;
 /// The first implausible column.
 pub fn check(campaign: &Campaign, sensor: u32, nominal: &ForwardModel) -> Result<(), FitError> {
     for recording in &campaign.recordings {
-        let Some(slopes) = Slopes::of(campaign, recording, sensor, sensor) else {
+        let Some(slopes) = Slopes::of(campaign, recording, (sensor, sensor), 0) else {
             continue;
         };
         let found = Check { campaign, recording, sensor, nominal, slopes };
@@ -49,21 +61,34 @@ struct Slopes {
     per_newton: [Option<Vector3<f64>>; 2],
     /// Whether the force is small in every recording.
     is_small: [bool; 2],
+    /// Fraction of the variance of the field along x and z that the regression explains.
+    explained: f64,
 }
 
 impl Slopes {
-    fn of(campaign: &Campaign, recording: &Recording, sensor: u32, place: u32) -> Option<Self> {
+    /// Of the field of a sensor to the forces at a place, each force `delay` rows before the field.
+    fn of(
+        campaign: &Campaign,
+        recording: &Recording,
+        (sensor, place): (u32, u32),
+        delay: isize,
+    ) -> Option<Self> {
         let track = recording.sensors.get(&sensor)?;
         let loads = [Axis::X, Axis::Z].map(|axis| recording.forces.get(&(place, axis)));
         let [x, z] = loads;
         let (x, z) = (x?, z?);
         let mut normal: Matrix3<f64> = Matrix3::zeros();
         let mut right: SMatrix<f64, 3, 3> = SMatrix::zeros();
-        for ((field, &fx), &fz) in track.field_g.iter().zip(&x.newtons).zip(&z.newtons) {
+        let mut squares: Vector3<f64> = Vector3::zeros();
+        let (later, earlier) = (delay.max(0) as usize, (-delay).max(0) as usize);
+        let fields = track.field_g.iter().skip(later);
+        let forces = x.newtons.iter().zip(&z.newtons).skip(earlier);
+        for (field, (&fx, &fz)) in fields.zip(forces) {
             let (regressor, field) = (Vector3::new(1.0, fx, fz), Vector3::from(*field));
             if regressor.iter().chain(field.iter()).all(|value| value.is_finite()) {
                 normal += regressor * regressor.transpose();
                 right += regressor * field.transpose();
+                squares += field.component_mul(&field);
             }
         }
         let count = normal[(0, 0)];
@@ -93,11 +118,17 @@ impl Slopes {
             normal[(i + 1, i + 1)] += if *moves { 0.0 } else { 1e12 };
         }
         let solution = normal.cholesky()?.solve(&right);
+        let (mut rest, mut all) = (0.0, 0.0);
+        for axis in [0, 2] {
+            rest += squares[axis] - solution.column(axis).dot(&right.column(axis));
+            all += squares[axis] - right[(0, axis)].powi(2) / count;
+        }
         let slope = |i: usize| moves[i].then(|| solution.row(i + 1).transpose());
         Some(Self {
             rest_g: solution.row(0).transpose(),
             per_newton: [slope(0), slope(1)],
             is_small,
+            explained: 1.0 - rest / all.max(f64::MIN_POSITIVE),
         })
     }
 
@@ -120,12 +151,16 @@ fn max_sigma_n(campaign: &Campaign, force: (u32, Axis)) -> f64 {
     campaign.recordings.iter().filter_map(sigma_n).fold(0.0, f64::max)
 }
 
-/// The unit that explains this ratio of the sensitivity to nominal, as a clause.
-fn unit_by_mistake(share: f64) -> String {
-    let is_near =
-        |(_, newtons): &&(&str, f64)| (SAME_UNIT.recip()..=SAME_UNIT).contains(&(share / newtons));
-    let unit = FORCE_UNITS_N.iter().find(is_near);
-    unit.map_or_else(String::new, |(name, _)| format!(", as if the force were in {name}"))
+/// The unit of the force, or else of the field along `axis`, that explains this ratio of the sensitivity to nominal, as a clause.
+fn unit_by_mistake(share: f64, axis: &str) -> String {
+    let is_near = |ratio: f64| (SAME_UNIT.recip()..=SAME_UNIT).contains(&(share / ratio));
+    if let Some((name, _)) = FORCE_UNITS_N.iter().find(|(_, newtons)| is_near(*newtons)) {
+        return format!(", as if the force were in {name}");
+    }
+    let unit = FIELD_UNITS_G.iter().find(|(_, gauss)| is_near(gauss.recip()));
+    unit.map_or_else(String::new, |(name, _)| {
+        format!(", as if its field along {axis} were in {name}")
+    })
 }
 
 struct Check<'a> {
@@ -166,7 +201,39 @@ impl Check<'_> {
         Ok(())
     }
 
+    /// Forces that do not explain the field at all are at another place or another time, whatever their slopes look like.
     fn forces(&self) -> Result<(), FitError> {
+        let Err(error) = self.force_columns() else {
+            return Ok(());
+        };
+        if self.slopes.explained > UNEXPLAINED {
+            return Err(error);
+        }
+        if let Some(place) = self.followed() {
+            return self.force(
+                0,
+                format!("sensor {} does not follow the forces of its place, it follows those of place {place}", self.sensor),
+                "the forces of the two places, or the fields of the two sensors, are exchanged; the recordings do not show which: press one finger by hand and see which columns move, then rename those that are wrong",
+            );
+        }
+        let (_, reference) = self.recording.rows_read;
+        let covered = self.recording.time_s.len() as f64 / reference.max(1) as f64;
+        if covered < MIN_COVERED {
+            return self.clock(
+                format!("the field does not follow these forces, and only {:.0} % of the reference's rows are within the time of the board's: the two clocks probably differ by seconds", 100.0 * covered),
+                "give both tables one clock, or read them with the difference as --delay-ms; two loggers that start at zero each need the instants of their starts",
+            );
+        }
+        if let Some(delay_s) = self.delay_s() {
+            return self.clock(
+                format!("the field follows these forces only if they are read {:.2} s {}: the two clocks differ", delay_s.abs(), if delay_s > 0.0 { "later" } else { "earlier" }),
+                &format!("read the recordings with --delay-ms {:.0} for a first fit (`compare` then gives the exact value), or correct one of the two clocks", 1e3 * delay_s),
+            );
+        }
+        Err(error)
+    }
+
+    fn force_columns(&self) -> Result<(), FitError> {
         let shares = self.slopes.shares(self.nominal);
         let own = |force: usize| shares[force].map(|share| share[force]);
         let other = |force: usize| shares[force].map(|share| share[1 - force]);
@@ -184,17 +251,8 @@ impl Check<'_> {
         for force in 0..2 {
             let Some(share) = own(force) else { continue };
             let axis = ["x", "z"][force];
-            if is_small[force] && (share <= SCALE || unit_by_mistake(share).is_empty()) {
+            if is_small[force] && (share <= SCALE || unit_by_mistake(share, axis).is_empty()) {
                 continue;
-            }
-            if share < 1.0 / SCALE
-                && let Some(place) = self.followed(force)
-            {
-                return self.force(
-                    force,
-                    format!("sensor {} does not follow this force, it follows that of place {place}", self.sensor),
-                    "the forces of the two places, or the fields of the two sensors, are exchanged; the recordings do not show which: press one finger by hand and see which columns move, then rename those that are wrong",
-                );
             }
             if share <= -1.0 / SCALE {
                 return self.force(
@@ -206,14 +264,14 @@ impl Check<'_> {
             if share < 1.0 / SCALE {
                 return self.force(
                     force,
-                    format!("sensor {} has {share:.2} of the sensitivity of the design{}", self.sensor, unit_by_mistake(share)),
+                    format!("sensor {} has {share:.2} of the sensitivity of the design along {axis}{}", self.sensor, unit_by_mistake(share, axis)),
                     "check the force's unit (newtons), the field's unit, and the stiffness in recording.toml",
                 );
             }
             if share > SCALE {
                 return self.force(
                     force,
-                    format!("sensor {} has {share:.1} times the sensitivity of the design{}", self.sensor, unit_by_mistake(share)),
+                    format!("sensor {} has {share:.1} times the sensitivity of the design along {axis}{}", self.sensor, unit_by_mistake(share, axis)),
                     "check the force's unit (newtons, not kilograms), the field's unit, and the stiffness in recording.toml",
                 );
             }
@@ -221,14 +279,35 @@ impl Check<'_> {
         Ok(())
     }
 
-    /// Location of another force that the field follows.
-    fn followed(&self, force: usize) -> Option<u32> {
+    /// Another place whose forces explain the field.
+    fn followed(&self) -> Option<u32> {
         let places = self.recording.forces.keys().map(|(place, _)| *place);
         places.filter(|place| *place != self.sensor).find(|place| {
-            Slopes::of(self.campaign, self.recording, self.sensor, *place)
-                .and_then(|slopes| slopes.shares(self.nominal)[force])
-                .is_some_and(|shares| shares[force] > 1.0 / SCALE)
+            let slopes = Slopes::of(self.campaign, self.recording, (self.sensor, *place), 0);
+            slopes.is_some_and(|slopes| slopes.explained > EXPLAINED)
         })
+    }
+
+    /// Time in seconds by which the forces must be read later to explain the field.
+    fn delay_s(&self) -> Option<f64> {
+        let time_s = &self.recording.time_s;
+        let rows = time_s.len();
+        let period_s = (time_s.last()? - time_s.first()?) / rows.saturating_sub(1).max(1) as f64;
+        let step = ((DELAY_STEP_S / period_s) as usize).max(1);
+        let most = ((1.0 - MIN_OVERLAP) * rows as f64) as isize;
+        let places = (self.sensor, self.sensor);
+        let explained = |delay: isize| {
+            Some((Slopes::of(self.campaign, self.recording, places, delay)?.explained, delay))
+        };
+        let steps = most / step as isize;
+        let delays: Vec<isize> = (-steps..=steps).map(|count| count * step as isize).collect();
+        let best = delays.into_par_iter().filter_map(explained).max_by(|a, b| a.0.total_cmp(&b.0));
+        let (share, delay) = best?;
+        (share > EXPLAINED).then_some(delay as f64 * period_s)
+    }
+
+    fn clock(&self, what: String, advice: &str) -> Result<(), FitError> {
+        Err(self.error("force.csv", "t_us".to_owned(), what, advice))
     }
 
     fn hall(&self, column: &str, what: String, advice: &str) -> Result<(), FitError> {

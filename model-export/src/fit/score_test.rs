@@ -142,7 +142,7 @@ impl<'a> ScoreTest<'a> {
             .zip(&self.sensors)
             .map(|(search, sensor)| search.on(sensor.linearisation.clone()).regressors(place))
             .collect();
-        let within = usize::from(candidate.is_transient());
+        let within = self.is_within(candidate);
         let count = regressors.first()?.ncols();
         let scored: Vec<_> = self
             .sensors
@@ -246,11 +246,19 @@ impl<'a> ScoreTest<'a> {
             let (rows, base) = (&self.setup.rows[s], self.setup.bases[s].as_ref());
             let problem = SensorProblem::new(rows, base, &self.effects);
             let columns = form_columns(&sensor.linearisation, &problem, &self.values[s], place);
-            let folds = sensor.held_out_squares(&columns, usize::from(effect.is_transient()));
+            let folds = sensor.held_out_squares(&columns, self.is_within(effect));
             folds.iter().fold((0.0, 0.0), |(a, b), f| (a + f.0, b + f.1))
         });
         let (without, with) = scored.reduce(|| (0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
         if without > 0.0 { 1.0 - with / without } else { 0.0 }
+    }
+
+    /// Index of the cross-validation of a model with `effect`: within recordings where a held-out recording carries no information
+    /// on one of its effects, as in a full fit.
+    fn is_within(&self, effect: &EffectTerm) -> usize {
+        let is_transient =
+            effect.is_transient() || self.effects.iter().any(EffectTerm::is_transient);
+        usize::from(is_transient)
     }
 
     /// Values of a model with one more effect than fitted.

@@ -156,7 +156,9 @@ pub enum ErrorKind {
     ArrayShape { name: String, found: Vec<usize>, expected: Vec<usize> },
     #[error("{name} contains a number that is not finite; repeat the training")]
     ArrayNotFinite { name: String },
-    #[error("this is a file, not a campaign folder; the order is MODEL CAMPAIGN")]
+    #[error(
+        "this is a file, not a campaign folder; of a command with both the order is MODEL CAMPAIGN"
+    )]
     CampaignIsFile,
     #[error(
         "the output path exists and was not written by magpie; it is not overwritten: choose another path"
@@ -199,7 +201,7 @@ pub enum ErrorKind {
     )]
     EmptyCell,
     #[error(
-        "{value} is outside the sensor's {bits} bit range ({low} to {high}); a converted field belongs in a column that ends in _gauss"
+        "{value} is not a whole number within the sensor's {bits} bit range ({low} to {high}); a converted field belongs in a column that ends in _gauss"
     )]
     OutOfRange { value: f64, bits: u32, low: f64, high: f64 },
     #[error(

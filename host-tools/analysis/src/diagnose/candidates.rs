@@ -36,13 +36,16 @@ pub fn candidates(
     let all = catalogue.chain(own.iter().cloned());
     for candidate in all.filter(|candidate| !present.contains(candidate)) {
         match obstacle(&candidate, campaign, model) {
-            Some(reason) => untestable.push(UntestableEffect {
-                effect: candidate.name().to_owned(),
-                reason,
-                record: candidate
-                    .effect()
-                    .map_or_else(String::new, |effect| effect.record.to_owned()),
-            }),
+            Some(reason) => {
+                // No recording makes up for what the model does not have.
+                let is_of_model = matches!(reason, Reason::NeedsGeometry | Reason::InPolynomial);
+                let effect = candidate.effect().filter(|_| !is_of_model);
+                untestable.push(UntestableEffect {
+                    effect: candidate.name().to_owned(),
+                    reason,
+                    record: effect.map_or_else(String::new, |effect| effect.record.to_owned()),
+                });
+            }
             None => testable.push(candidate),
         }
     }

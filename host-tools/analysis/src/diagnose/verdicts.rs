@@ -143,6 +143,7 @@ fn of_step(
             && let Some(size) = size
         {
             (verdict.value, verdict.std_error) = (size.value, size.std_error);
+            verdict.unit = size.size.unit.to_owned();
             verdict.implausible = (!size.is_plausible()).then_some(size.size.plausible);
         }
         verdicts.push(verdict);

@@ -217,7 +217,8 @@ fn accepted_effects(diagnosis: &Diagnosis) -> String {
     for verdict in diagnosis.verdicts.iter().filter(|v| is_present(v)) {
         page += &styled(HEADING, &heading(verdict));
         page += &paragraph(&format!("  {}", physics(verdict)));
-        let evidence = format!("  {} {}", reason_sentence(verdict), similar_effects(verdict));
+        let similar = [similar_effects(verdict), beyond_polynomial(diagnosis, verdict)].join(" ");
+        let evidence = format!("  {} {}", reason_sentence(verdict), similar.trim());
         page += &paragraph(&format!("{}\n", evidence.trim_end()));
     }
     page
@@ -235,6 +236,22 @@ pub fn similar_effects(verdict: &Verdict) -> String {
         return String::new();
     }
     format!("On these recordings it reproduces the patterns of {}.", parts.join(", "))
+}
+
+/// Effects on the magnet that look like an accepted one, where a polynomial cannot test them.
+fn beyond_polynomial(diagnosis: &Diagnosis, verdict: &Verdict) -> String {
+    let confused = find(&verdict.effect).map_or(&[][..], |effect| effect.confused_with);
+    let untested = diagnosis.verdicts.iter().filter(|other| {
+        other.reason == Reason::NeedsGeometry && confused.iter().any(|(id, _)| *id == other.effect)
+    });
+    let names: Vec<&str> = untested.map(|other| other.effect.as_str()).collect();
+    if names.is_empty() {
+        return String::new();
+    }
+    format!(
+        "Or it is {}: similar, and not part of a polynomial; with [design] and the cylinder base they are compared.",
+        names.join(" or ")
+    )
 }
 
 /// Formulas beyond the catalogue: text, evidence, values of each sensor.
@@ -423,7 +440,7 @@ pub fn suggestion_heading(kind: SuggestionKind) -> &'static str {
         SuggestionKind::None => "",
         SuggestionKind::AddEffects => "Suggestion, add it and see the error fall:",
         SuggestionKind::ChooseEffect => {
-            "Suggestion, make a recording that tells them apart (`--plan` proposes one), or choose one and add it:"
+            "Suggestion, choose one and add it, or make a recording that tells them apart (`--plan` proposes one where a short one can):"
         }
         SuggestionKind::Export => {
             "No missing effect was found. Suggestion, the tables for the device:"
@@ -431,7 +448,7 @@ pub fn suggestion_heading(kind: SuggestionKind) -> &'static str {
         SuggestionKind::TestFormula => {
             "Suggestion, propose its shape and test it like any effect (put in yours):"
         }
-        SuggestionKind::Compare => "Suggestion, look where it is:",
+        SuggestionKind::Compare => "Suggestion, look at the residual:",
     }
 }
 
@@ -539,8 +556,8 @@ pub const PROVISIONAL_NOTE: &str =
     "A question mark: provisional, because much more than noise is unexplained.";
 
 /// Explanation of shadows.
-pub const SHADOW_NOTE: &str = "Shadow: significant by itself, but it explains part of the same residual as the effect named in its row, and \
-                               nothing else.";
+pub const SHADOW_NOTE: &str = "Shadow: significant by itself, but it explains part of the same residual as the effect named in its row and, \
+                               next to that, nothing significant: whether it is present is open.";
 
 /// Note where the residual is at the noise floor.
 pub fn at_floor_note(diagnosis: &Diagnosis) -> String {
@@ -576,6 +593,12 @@ pub fn magnitude(verdict: &Verdict) -> String {
     }
     let value = value(verdict.value, verdict.std_error, &verdict.unit);
     match (find(&verdict.effect).ok(), typical) {
+        (Some(effect), _) if effect.size.unit != verdict.unit => {
+            format!(
+                "{value}, another coefficient than its usual measure ({})",
+                effect.size.description
+            )
+        }
         (Some(effect), Some(typical)) => format!("{value}, {}; {typical}", effect.size.description),
         _ => value,
     }
@@ -690,7 +713,7 @@ pub fn reason(verdict: &Verdict) -> String {
             format!("at most {bound:.2} times its typical magnitude (95 %)")
         }
         Reason::NeedsGeometry => {
-            "it acts on the magnet, which a polynomial does not model".to_owned()
+            "it acts on the magnet, which a polynomial does not model: give [design] and fit the cylinder base".to_owned()
         }
         Reason::InPolynomial => {
             "it depends on the forces alone, and the polynomial of the forces contains it".to_owned()
@@ -929,7 +952,7 @@ pub fn significance_note(diagnosis: &Diagnosis) -> String {
         String::new()
     };
     format!(
-        "Gain: reduction of the held-out squared error. p: p-value adjusted for all candidates \
+        "Gain: reduction of the held-out squared error, of an accepted step relative to the step before. p: p-value adjusted for all candidates \
          (wild bootstrap over {} blocks of {:.1} s, seed {}). Present: p below {LEVEL}, gain above {} %, and a lower \
          error in every fold. < b of typical: 95 % upper bound of the magnitude.{sampled}",
         diagnosis.blocks,

@@ -195,10 +195,13 @@ pub fn message(finding: &Finding) -> String {
             let (direction, cause) = if *lag_ms > 0.0 {
                 (
                     "behind",
-                    "A viscous lag of the flexures or a filter of the reference looks the same; if the clocks are the cause, ",
+                    "A viscous lag of the flexures, friction or a filter of the reference looks the same: `diagnose` compares them; if the clocks are the cause, ",
                 )
             } else {
-                ("ahead of", "A flexure cannot lead its force, so the clocks are the cause: ")
+                (
+                    "ahead of",
+                    "A flexure cannot lead its force, so the clocks are the cause; friction and lag shift this estimate: prefer that of clock_skew in `diagnose`, if it differs. ",
+                )
             };
             let (place, remedy) = if recordings.is_all {
                 (

@@ -1,0 +1,39 @@
+//! Runs the tests of the Python package with this build of its library, where `PYTHON` names an interpreter that has numpy, pandas,
+//! matplotlib and pytest.
+
+use std::path::Path;
+use std::process::Command;
+
+fn main() {
+    let Some(python) = std::env::var_os("PYTHON") else {
+        println!(
+            "not tested: the Python package; set PYTHON to an interpreter with numpy, pandas, matplotlib and pytest"
+        );
+        return;
+    };
+    let package = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let program = std::env::current_exe().unwrap();
+    let built = program.ancestors().skip(1).take(2).map(|folder| folder.join("lib_magpie.so"));
+    let library = built
+        .filter(|path| path.exists())
+        .max_by_key(|path| path.metadata().and_then(|data| data.modified()).unwrap());
+    let library = library.expect("cargo builds the library before this program");
+    let folder = tempfile::tempdir().unwrap();
+    let copy = folder.path().join("magpie");
+    std::fs::create_dir(&copy).unwrap();
+    for entry in std::fs::read_dir(package.join("magpie")).unwrap() {
+        let path = entry.unwrap().path();
+        if path.extension().is_some_and(|extension| extension == "py") {
+            std::fs::copy(&path, copy.join(path.file_name().unwrap())).unwrap();
+        }
+    }
+    std::fs::copy(library, copy.join("_magpie.abi3.so")).unwrap();
+    let status = Command::new(python)
+        .args(["-m", "pytest", "-q", "-p", "no:cacheprovider"])
+        .arg(package.join("tests"))
+        .current_dir(folder.path())
+        .env("PYTHONPATH", folder.path())
+        .env("PYTHONDONTWRITEBYTECODE", "1")
+        .status();
+    assert!(status.unwrap().success(), "the tests of the Python package failed");
+}
