@@ -25,6 +25,8 @@ const MAX_CORRELATION: f64 = 0.95;
 /// Fraction of a field's variance below which its forces do not explain it, and above which others do.
 const UNEXPLAINED: f64 = 0.5;
 const EXPLAINED: f64 = 0.8;
+/// Ratio of the variances that two sets of forces leave from which only one of them is that of the sensor.
+const MUCH_BETTER: f64 = 4.0;
 /// Step of the search of a delay in seconds.
 const DELAY_STEP_S: f64 = 0.02;
 /// Minimum overlap of field and forces under a delay (short pieces of periodic loads agree under wrong delays), and of the two tables
@@ -206,15 +208,15 @@ impl Check<'_> {
         let Err(error) = self.force_columns() else {
             return Ok(());
         };
-        if self.slopes.explained > UNEXPLAINED {
-            return Err(error);
-        }
         if let Some(place) = self.followed() {
             return self.force(
                 0,
                 format!("sensor {} does not follow the forces of its place, it follows those of place {place}", self.sensor),
                 "the forces of the two places, or the fields of the two sensors, are exchanged; the recordings do not show which: press one finger by hand and see which columns move, then rename those that are wrong",
             );
+        }
+        if self.slopes.explained > UNEXPLAINED {
+            return Err(error);
         }
         let (_, reference) = self.recording.rows_read;
         let covered = self.recording.time_s.len() as f64 / reference.max(1) as f64;
@@ -279,12 +281,15 @@ impl Check<'_> {
         Ok(())
     }
 
-    /// Another place whose forces explain the field.
+    /// Another place whose forces explain the field, much better than those of the sensor's place.
     fn followed(&self) -> Option<u32> {
         let places = self.recording.forces.keys().map(|(place, _)| *place);
         places.filter(|place| *place != self.sensor).find(|place| {
             let slopes = Slopes::of(self.campaign, self.recording, (self.sensor, *place), 0);
-            slopes.is_some_and(|slopes| slopes.explained > EXPLAINED)
+            slopes.is_some_and(|slopes| {
+                let better = MUCH_BETTER * (1.0 - slopes.explained) < 1.0 - self.slopes.explained;
+                better && slopes.explained > EXPLAINED
+            })
         })
     }
 
