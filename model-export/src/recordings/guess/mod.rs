@@ -382,13 +382,18 @@ impl Draft {
             else {
                 continue;
             };
-            let check =
-                column.stated.unit.is_none().then(|| format!("no unit: taken as {default}"));
+            let mut checks = Vec::new();
+            if to == "opening_mm" && !has_word(column, &["opening"]) {
+                checks.push("taken as the opening between the fingertips".to_owned());
+            }
+            if column.stated.unit.is_none() {
+                checks.push(format!("no unit: taken as {default}"));
+            }
             self.add(
                 column,
                 column.stated.unit.map_or(default, |unit| unit.name),
                 to.to_owned(),
-                check,
+                joined(checks),
             );
         }
         for column in &table.columns {
@@ -400,7 +405,12 @@ impl Draft {
                 && !self.is_used(&column.name)
             {
                 match column.stated.unit {
-                    Some(unit) => self.named(column, unit.name, None),
+                    Some(unit) => {
+                        let check = (column.quantity == Quantity::Length).then(|| {
+                            "a covariate of its own, for formulas: map the opening between the fingertips to opening_mm".to_owned()
+                        });
+                        self.named(column, unit.name, check);
+                    }
                     None => self.ignored.push((column.name.clone(), "no unit")),
                 }
             }
