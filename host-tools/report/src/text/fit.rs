@@ -193,6 +193,9 @@ fn axes(model: &ModelFile) -> impl Iterator<Item = (&SensorModel, &HeldOutError)
     model.sensors.iter().flat_map(|sensor| sensor.held_out.iter().map(move |axis| (sensor, axis)))
 }
 
+/// Error relative to the range of the field from which a polynomial has nothing to do with the forces.
+const GROSS: f64 = 0.1;
+
 /// Verdict on the held-out error.
 pub fn verdict(model: &ModelFile) -> String {
     let ratio = |axis: &HeldOutError| axis.rms_g / axis.floor_g;
@@ -214,6 +217,9 @@ pub fn verdict(model: &ModelFile) -> String {
     }
     let why = match model.base {
         BaseKind::Cylinder => "an effect is missing from the model, or the clocks are misaligned.",
+        BaseKind::Polynomial if axis.rms_g > GROSS * axis.span_g => {
+            "an error of this size has a cause in the setup, which a polynomial cannot name: exchanged sensors, units, clocks."
+        }
         BaseKind::Polynomial => "the degree is too low, or the field depends on further inputs.",
     };
     format!("Structure remains: {why}\n{worst}")
