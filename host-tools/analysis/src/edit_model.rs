@@ -1,5 +1,6 @@
 //! A model refitted with other effects: the error before and after.
 
+use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::{Result, anyhow, bail};
@@ -91,6 +92,28 @@ pub fn refit(
             notes: std::mem::take(notes),
         })
     })
+}
+
+/// The effects of a model at `place` without those of these names and with `added`.
+///
+/// # Errors
+/// The model does not have an effect to remove, or has one to add.
+pub fn edited_effects(
+    place: &Path,
+    before: &[EffectTerm],
+    added: Vec<EffectTerm>,
+    removed: &[String],
+) -> Result<Vec<EffectTerm>> {
+    let names: Vec<&str> = before.iter().map(EffectTerm::name).collect();
+    if let Some(missing) = removed.iter().find(|removed| !names.contains(&removed.as_str())) {
+        let available = if names.is_empty() { "no effects".to_owned() } else { names.join(", ") };
+        bail!("{}: the model has no effect {missing}; it has {available}", place.display());
+    }
+    if let Some(present) = added.iter().find(|effect| before.contains(effect)) {
+        bail!("{}: the model already has {}", place.display(), present.name());
+    }
+    let kept = before.iter().filter(|effect| !removed.iter().any(|name| name == effect.name()));
+    Ok(kept.cloned().chain(added).collect())
 }
 
 /// Parses formulas over these columns; each receives the ranges of the parameters that it contains.

@@ -4,7 +4,7 @@ use std::error::Error;
 use std::fmt;
 use std::path::PathBuf;
 
-use anyhow::Result;
+use anyhow::{Result, bail};
 use model_export::inverse::build::DeviceModel;
 use model_export::inverse::compensation::NotCompensable;
 use model_export::model_file::ModelFile;
@@ -145,6 +145,17 @@ pub struct UncompensatedEffect {
     pub effect: String,
     /// Reason, from the catalogue.
     pub reason: &'static str,
+}
+
+/// Refuses a model with an effect that the device never compensates.
+///
+/// # Errors
+/// There is one; the error has the reason and this remedy.
+pub fn check_compensated(built: &DeviceModel, remedy: &str) -> Result<()> {
+    let Some((effect, why)) = built.uncompensated.first() else {
+        return Ok(());
+    };
+    bail!("the device never compensates {effect}: {why}. Its error stays in the forces: {remedy}")
 }
 
 impl UncompensatedEffect {

@@ -179,7 +179,7 @@ def diagnose(
     """
     spans = _ranges(ranges)
     data = json.loads(
-        _magpie.diagnose_(Path(model), Path(campaign), list(exprs), spans, plan, progress, delay_ms, seed)
+        _magpie.diagnose(Path(model), Path(campaign), list(exprs), spans, plan, progress, delay_ms, seed)
     )
     names = Verdict.__dataclass_fields__
     verdicts = [Verdict(**{name: verdict[name] for name in names}) for verdict in data["verdicts"]]

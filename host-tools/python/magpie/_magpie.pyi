@@ -31,7 +31,7 @@ def fit(campaign: Path, output: Path, base: str, degree: int | None, delay_ms: f
 def compare(
     model: Path, campaign: Path, other: Path | None, report: Path | None, delay_ms: float, seed: int
 ) -> str: ...
-def diagnose_(
+def diagnose(
     model: Path,
     campaign: Path,
     exprs: list[str],

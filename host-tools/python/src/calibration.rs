@@ -7,10 +7,10 @@ use std::sync::{Mutex, PoisonError};
 use analysis::compare::campaign_reader::{Caching, ScannedCampaign, read_campaign};
 use analysis::compare::pipeline;
 use analysis::diagnose::observer::Observer;
-use analysis::diagnose::suggestions::{Invocation, suggest};
 use analysis::diagnose::{self, Diagnosis};
-use analysis::edit_model::{find_effects, parse_formulas, refit};
+use analysis::edit_model::{edited_effects, find_effects, parse_formulas, refit};
 use analysis::fit::fit_model;
+use analysis::notes::check_compensated;
 use analysis::replay::evaluation;
 use anyhow::{Context, Result, bail};
 use device_run::networks::NetworkSet;
@@ -109,8 +109,9 @@ fn compare(
 
 /// Diagnoses which effects a model does not contain. `progress` is called with the stage and the share that is done.
 #[pyfunction]
+#[pyo3(name = "diagnose")]
 #[allow(clippy::too_many_arguments, reason = "keywords in Python")]
-fn diagnose_(
+fn diagnose_campaign(
     py: Python<'_>,
     model: PathBuf,
     campaign: PathBuf,
@@ -153,17 +154,7 @@ fn diagnose_(
             diagnose::diagnose((&rows, alignment), &file, &model, &own, plans, options, &observer)?;
         drop(observer);
         diagnosis.findings = findings;
-        let found = diagnosis.formulas.iter().chain(&diagnosis.equivalent_formulas);
-        let found = found.flat_map(|formula| &formula.effects);
-        let own: Vec<EffectTerm> = own.iter().chain(found).cloned().collect();
-        let invocation = Invocation {
-            model: &diagnosis.model,
-            campaign: &diagnosis.campaign,
-            delay_ms,
-            base: file.base,
-            own: &own,
-        };
-        diagnosis.next = suggest(&diagnosis, &invocation);
+        diagnosis.set_suggestion(&own, file.base, delay_ms);
         Ok(text::diagnosis::to_json(&diagnosis))
     })?;
     // An exception in the callback has ended the diagnosis early.
@@ -194,15 +185,7 @@ fn edit(
         let rows = read_campaign(&campaign, alignment(delay_ms))?;
         let before = file.effect_terms(&model)?;
         let added = find_effects(&added, &formulas(&exprs, &ranges, &rows)?)?;
-        let name = |name: &String| before.iter().any(|effect| effect.name() == name);
-        if let Some(missing) = removed.iter().find(|removed| !name(removed)) {
-            bail!("{}: the model has no effect {missing}", model.display());
-        }
-        if let Some(present) = added.iter().find(|effect| before.contains(effect)) {
-            bail!("{}: the model already has {}", model.display(), present.name());
-        }
-        let kept = before.iter().filter(|effect| !removed.iter().any(|name| name == effect.name()));
-        let after = kept.cloned().chain(added).collect();
+        let after = edited_effects(&model, &before, added, &removed)?;
         let edited = refit(rows, &file, before, after, alignment(delay_ms), options(seed))?;
         edited.model.write(&output)?;
         Ok(with_notes(text::edit_model::to_json(&edited), &edited.notes))
@@ -238,9 +221,7 @@ fn export(
     let result = interrupt::run(py, move |_| {
         check_output(&output, MARK)?;
         let built = build(&model, ModelVariant::Fitted)?;
-        if let Some((effect, why)) = built.uncompensated.first() {
-            bail!("the device never compensates {effect}: {why}; remove it from the model");
-        }
+        check_compensated(&built, "remove it from the model")?;
         let networks = network.as_deref().map(|path| NetworkSet::read(path, &built)).transpose()?;
         let source = match &networks {
             None => tables_source(&built),
@@ -322,7 +303,7 @@ fn describe(folder: &Path, delay_ms: f64) -> Result<Value> {
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(fit, module)?)?;
     module.add_function(wrap_pyfunction!(compare, module)?)?;
-    module.add_function(wrap_pyfunction!(diagnose_, module)?)?;
+    module.add_function(wrap_pyfunction!(diagnose_campaign, module)?)?;
     module.add_function(wrap_pyfunction!(edit, module)?)?;
     module.add_function(wrap_pyfunction!(replay, module)?)?;
     module.add_function(wrap_pyfunction!(export, module)?)?;

@@ -15,7 +15,6 @@ use analysis::compare::campaign_reader::{Caching, ScannedCampaign};
 use analysis::compare::pipeline::{compare_scanned, setup_errors_of};
 use analysis::diagnose::observer::{FirstCandidate, Observer};
 use analysis::diagnose::recording_plan::RecordingProposal;
-use analysis::diagnose::suggestions::{Invocation, suggest};
 use analysis::diagnose::{Diagnosis, diagnose};
 use report::text::diagnosis::{format_report, to_json};
 use report::text::terminal;
@@ -126,19 +125,7 @@ pub fn run(args: &Args) -> Result<()> {
             drop(observer);
             bar.finish();
             diagnosis.findings = findings;
-            let formulas = diagnosis.formulas.iter().chain(&diagnosis.equivalent_formulas);
-            let discovered = formulas.flat_map(|formula| &formula.effects);
-            let own: Vec<_> = own.iter().chain(discovered).cloned().collect();
-            diagnosis.next = suggest(
-                &diagnosis,
-                &Invocation {
-                    model: &diagnosis.model,
-                    campaign: &diagnosis.campaign,
-                    delay_ms: 1e-3 * alignment.delay_us,
-                    base: model.base,
-                    own: &own,
-                },
-            );
+            diagnosis.set_suggestion(&own, model.base, 1e-3 * alignment.delay_us);
             (diagnosis, refit)
         }
         None => (Diagnosis { findings, ..Diagnosis::default() }, None),

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use analysis::compare::campaign_reader::read_campaign;
-use analysis::edit_model::{find_effects, refit};
+use analysis::edit_model::{edited_effects, find_effects, refit};
 use anyhow::{Result, bail};
 use model_export::effects::EffectTerm;
 use model_export::model_file::{self, ModelFile};
@@ -28,7 +28,7 @@ struct EditArgs {
 /// Reads the inputs, refits before and after the edit, prints the report and writes the new model.
 fn edit(
     args: &EditArgs,
-    edit_effects: impl Fn(&ModelFile, &[EffectTerm], &Campaign) -> Result<Vec<EffectTerm>>,
+    edit_effects: impl Fn(&[EffectTerm], &Campaign) -> Result<Vec<EffectTerm>>,
 ) -> Result<()> {
     if let Some(path) = &args.output {
         check_output(path, model_file::SIGNATURE)?;
@@ -38,7 +38,7 @@ fn edit(
     let options = args.input.fit.options();
     let campaign = read_campaign(&args.input.campaign, alignment)?;
     let before = model.effect_terms(&args.input.model)?;
-    let after = edit_effects(&model, &before, &campaign)?;
+    let after = edit_effects(&before, &campaign)?;
     let edited = refit(campaign, &model, before, after, alignment, options)?;
     print_notes(&edited.notes);
     terminal::print_result(args.input.fit.json, || to_json(&edited), || format_report(&edited))?;
@@ -81,16 +81,9 @@ pub fn run_add(args: &AddArgs) -> Result<()> {
     if args.effects.is_empty() && args.exprs.is_empty() {
         bail!("name an effect (`cargo magpie effects` lists them), or give a formula with --expr");
     }
-    edit(&args.edit, |_, before, campaign| {
+    edit(&args.edit, |before, campaign| {
         let added = find_effects(&args.effects, &args.exprs.parse(campaign)?)?;
-        if let Some(duplicate) = added.iter().find(|effect| before.contains(effect)) {
-            bail!(
-                "{}: the model already has {}",
-                args.edit.input.model.display(),
-                duplicate.name()
-            );
-        }
-        Ok(before.iter().cloned().chain(added).collect())
+        edited_effects(&args.edit.input.model, before, added, &[])
     })
 }
 
@@ -109,19 +102,7 @@ pub struct RemoveArgs {
 
 /// Runs the command.
 pub fn run_remove(args: &RemoveArgs) -> Result<()> {
-    edit(&args.edit, |model, before, _| {
-        let names: Vec<&str> = model.effects.iter().map(|effect| effect.name.as_str()).collect();
-        for name in &args.effects {
-            if !names.contains(&name.as_str()) {
-                let available =
-                    if names.is_empty() { "no effects".to_owned() } else { names.join(", ") };
-                bail!(
-                    "{}: the model has no effect {name}; it has {available}",
-                    args.edit.input.model.display()
-                );
-            }
-        }
-        let remains = |name: &str| !args.effects.iter().any(|removed| removed == name);
-        Ok(before.iter().filter(|effect| remains(effect.name())).cloned().collect())
+    edit(&args.edit, |before, _| {
+        edited_effects(&args.edit.input.model, before, Vec::new(), &args.effects)
     })
 }

@@ -3,12 +3,12 @@
 use std::path::PathBuf;
 
 use analysis::notes::{Note, UncompensatedEffect};
-use anyhow::{Result, bail};
+use anyhow::Result;
 use model_export::inverse::build::{DeviceModel, ModelVariant, build};
 use model_export::inverse::codegen::{MARK, source_with_networks, tables_source};
 use model_export::output::{check_output, write_output};
 
-use crate::commands::{print_conditions, print_missing_sensors, print_notes};
+use crate::commands::{check_compensated, print_conditions, print_missing_sensors, print_notes};
 use device_run::networks::NetworkSet;
 use report::text::export::{format_tables, to_json, worst_map};
 use report::text::terminal;
@@ -38,20 +38,6 @@ pub struct Args {
     /// Print one JSON object on stdout and nothing else.
     #[arg(long)]
     json: bool,
-}
-
-/// Refuses a model with an effect that the device never compensates; `command` can override that.
-///
-/// # Errors
-/// There is one; the error has the reason.
-pub fn check_compensated(built: &DeviceModel, command: &str) -> Result<()> {
-    let Some((effect, why)) = built.uncompensated.first() else {
-        return Ok(());
-    };
-    bail!(
-        "the device never compensates {effect}: {why}. Its error stays in the forces: remove it from the model \
-         (`cargo magpie remove`), or {command} with --uncompensated"
-    )
 }
 
 /// Runs the command.

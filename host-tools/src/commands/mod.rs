@@ -165,6 +165,17 @@ fn print_notes(notes: &[Note]) {
     }
 }
 
+/// Refuses a model with an effect that the device never compensates; `command` can override that.
+///
+/// # Errors
+/// There is one; the error has the reason.
+fn check_compensated(built: &DeviceModel, command: &str) -> anyhow::Result<()> {
+    let remedy = format!(
+        "remove it from the model (`cargo magpie remove`), or {command} with --uncompensated"
+    );
+    analysis::notes::check_compensated(built, &remedy)
+}
+
 /// Prints on stderr under which conditions the board compensates the effects of a model.
 fn print_conditions(built: &DeviceModel) {
     for (effect, conditions) in &built.conditions {

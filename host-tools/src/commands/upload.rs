@@ -16,8 +16,7 @@ use report::text::terminal;
 use serde_json::json;
 
 use crate::commands::connection::PortArgs;
-use crate::commands::export::check_compensated;
-use crate::commands::{print_conditions, print_missing_sensors, print_notes};
+use crate::commands::{check_compensated, print_conditions, print_missing_sensors, print_notes};
 
 /// Upload a calibration to a gripper: force model, compensation and networks, without a compiler.
 ///

@@ -58,6 +58,19 @@ const MADE: [&str; 8] = [
     "constant",
 ];
 
+impl Diagnosis {
+    /// Sets the suggested command; `own` are the user-defined effects, `base` is that of the model.
+    pub fn set_suggestion(&mut self, own: &[EffectTerm], base: BaseKind, delay_ms: f64) {
+        let discovered = self.formulas.iter().chain(&self.equivalent_formulas);
+        let discovered = discovered.flat_map(|formula| &formula.effects);
+        let own: Vec<EffectTerm> = own.iter().chain(discovered).cloned().collect();
+        self.next = suggest(
+            self,
+            &Invocation { model: &self.model, campaign: &self.campaign, delay_ms, base, own: &own },
+        );
+    }
+}
+
 /// Suggests the next command after a diagnosis.
 pub fn suggest(diagnosis: &Diagnosis, typed: &Invocation) -> Suggestion {
     let command = |what: &str, rest: &[String]| {
