@@ -4,7 +4,7 @@ use analysis::progress;
 use std::path::PathBuf;
 
 use crate::commands::args::read_design;
-use anyhow::{Result, bail};
+use anyhow::{Result, anyhow, bail};
 use report::text::simulate::{format_report, to_json};
 use report::text::terminal;
 use sim::campaign;
@@ -159,7 +159,7 @@ fn settings(args: &Args) -> Result<CampaignSettings> {
         plan: args.plan.as_deref().map(RecordingPlan::read).transpose()?,
         ..of_design
     };
-    settings.check()?;
+    settings.check_ranges().map_err(|error| anyhow!("--{error}"))?;
     Ok(settings)
 }
 

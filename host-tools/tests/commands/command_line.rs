@@ -144,7 +144,7 @@ fn invalid_model_parameter_is_rejected_by_name() {
 #[test]
 fn swapped_arguments_report_the_expected_order() {
     let message = WorkDir::empty().failure(&["replay", &campaign("clean/3"), "model.toml"]);
-    assert!(message.contains("with both the order is MODEL CAMPAIGN"), "{message}");
+    assert!(message.contains("the order is MODEL CAMPAIGN"), "{message}");
 }
 
 #[test]

@@ -104,12 +104,28 @@ impl CampaignSettings {
     /// # Errors
     /// A value is out of range, or the field at rest exceeds that of the sensor.
     pub fn check(&self) -> Result<()> {
+        self.check_ranges()?;
+        let rest_g = ForwardModel::nominal(&self.design).field([0.0; 2]).amax();
+        let range_g = self.part.range_gauss;
+        if rest_g >= range_g {
+            bail!(
+                "the design's field at rest is {rest_g:.0} G, beyond the sensor's range of {range_g:.0} G; use a weaker magnet or a wider gap"
+            );
+        }
+        Ok(())
+    }
+
+    /// Checks each number by itself.
+    ///
+    /// # Errors
+    /// One is out of range; the message begins with its name, that of the option of `simulate`.
+    pub fn check_ranges(&self) -> Result<()> {
         let ranges = [
             ("scatter", self.scatter, 0.0..=MAX_SCATTER),
             ("load", self.harder, 0.0..=MAX_LOAD),
             ("warmer", self.warmer_k, -MAX_WARMER_K..=MAX_WARMER_K),
-            ("field noise", self.field_noise_g, 0.0..=MAX_FIELD_NOISE_G),
-            ("reference noise", self.reference_noise_n, 0.0..=MAX_REFERENCE_NOISE_N),
+            ("field-noise", self.field_noise_g, 0.0..=MAX_FIELD_NOISE_G),
+            ("reference-noise", self.reference_noise_n, 0.0..=MAX_REFERENCE_NOISE_N),
             ("seconds", self.seconds, MIN_SECONDS..=MAX_SECONDS),
             ("sensors", f64::from(self.sensors), 1.0..=f64::from(MAX_SENSORS)),
             ("recordings", f64::from(self.recordings), 1.0..=f64::from(MAX_RECORDINGS)),
@@ -119,13 +135,6 @@ impl CampaignSettings {
                 let (low, high) = (range.start(), range.end());
                 bail!("{name} = {value} is not possible here; give {low} to {high}");
             }
-        }
-        let rest_g = ForwardModel::nominal(&self.design).field([0.0; 2]).amax();
-        let range_g = self.part.range_gauss;
-        if rest_g >= range_g {
-            bail!(
-                "the design's field at rest is {rest_g:.0} G, beyond the sensor's range of {range_g:.0} G; use a weaker magnet or a wider gap"
-            );
         }
         Ok(())
     }
