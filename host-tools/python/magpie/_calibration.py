@@ -264,16 +264,16 @@ def simulate(
     output: PathLike,
     *effects: str,
     truth: PathLike | None = None,
-    programme: str = "bench",
-    recordings: int = 3,
-    seconds: float = 30.0,
+    programme: str | None = None,
+    recordings: int | None = None,
+    seconds: float | None = None,
     sensors: int | None = None,
-    scatter: float = 1.0,
+    scatter: float | None = None,
     seed: int = 1,
 ) -> Simulation:
     """Writes a campaign of a simulated gripper of MAGPIE's design; effects as ``"creep"`` or ``"creep=3"``.
 
-    The true parameters are in a file outside of the campaign (default: next to it).
+    The true parameters are in a file outside of the campaign (default: next to it). Other defaults are those of the command.
     """
     place = None if truth is None else Path(truth)
     data = json.loads(

@@ -58,11 +58,11 @@ def simulate(
     output: Path,
     truth: Path | None,
     effects: list[str],
-    programme: str,
-    recordings: int,
-    seconds: float,
+    programme: str | None,
+    recordings: int | None,
+    seconds: float | None,
     sensors: int | None,
-    scatter: float,
+    scatter: float | None,
     seed: int,
 ) -> str: ...
 def effects() -> str: ...

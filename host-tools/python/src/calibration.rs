@@ -241,25 +241,27 @@ fn simulate(
     output: PathBuf,
     truth: Option<PathBuf>,
     effects: Vec<String>,
-    programme: &str,
-    recordings: u32,
-    seconds: f64,
+    programme: Option<String>,
+    recordings: Option<u32>,
+    seconds: Option<f64>,
     sensors: Option<u32>,
-    scatter: f64,
+    scatter: Option<f64>,
     seed: u64,
 ) -> PyResult<Py<PyString>> {
-    let programme = programme.to_owned();
     let result = interrupt::run(py, move |_| {
-        let design = SensorDesign::magpie();
+        let default = CampaignSettings::of_design(&SensorDesign::magpie());
         let settings = CampaignSettings {
             effects: effects.iter().map(|text| text.parse()).collect::<Result<_>>()?,
-            programme: serde_json::from_value(json!(programme)).context("programme")?,
-            recordings,
-            seconds,
-            scatter,
+            programme: match programme {
+                Some(name) => serde_json::from_value(json!(name)).context("programme")?,
+                None => default.programme,
+            },
+            recordings: recordings.unwrap_or(default.recordings),
+            seconds: seconds.unwrap_or(default.seconds),
+            scatter: scatter.unwrap_or(default.scatter),
+            sensors: sensors.unwrap_or(default.sensors),
             seed,
-            sensors: sensors.unwrap_or(design.sensors),
-            ..CampaignSettings::of_design(&design)
+            ..default
         };
         let (truth, path) = sim::campaign::write(&settings, &output, truth.as_deref(), || ())?;
         Ok(text::simulate::to_json(&settings, &truth, &output, &path))

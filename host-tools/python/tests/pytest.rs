@@ -1,6 +1,7 @@
 //! Runs the tests of the Python package with this build of its library, where `PYTHON` names an interpreter that has numpy, pandas,
 //! matplotlib and pytest.
 
+use std::env::consts::{DLL_PREFIX, DLL_SUFFIX};
 use std::path::Path;
 use std::process::Command;
 
@@ -12,12 +13,9 @@ fn main() {
         return;
     };
     let package = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let program = std::env::current_exe().unwrap();
-    let built = program.ancestors().skip(1).take(2).map(|folder| folder.join("lib_magpie.so"));
-    let library = built
-        .filter(|path| path.exists())
-        .max_by_key(|path| path.metadata().and_then(|data| data.modified()).unwrap());
-    let library = library.expect("cargo builds the library before this program");
+    // Cargo puts what it builds for this program next to it.
+    let name = format!("{DLL_PREFIX}_magpie{DLL_SUFFIX}");
+    let library = std::env::current_exe().unwrap().with_file_name(name);
     let folder = tempfile::tempdir().unwrap();
     let copy = folder.path().join("magpie");
     std::fs::create_dir(&copy).unwrap();

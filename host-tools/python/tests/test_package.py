@@ -2,8 +2,11 @@
 
 import json
 import math
+import os
 import shutil
+import signal
 import subprocess
+import sys
 import threading
 import tomllib
 from pathlib import Path
@@ -201,6 +204,34 @@ def test_exception_in_the_progress_ends_the_diagnosis(ripple, fitted):
 
     with pytest.raises(RuntimeError, match="fitting the model"):
         magpie.diagnose(fitted.model, ripple, progress=stop)
+
+
+def test_ctrl_c_ends_a_diagnosis(ripple, fitted):
+    stages = []
+
+    def interrupt(stage, share):
+        if not stages:
+            os.kill(os.getpid(), signal.SIGINT)
+        stages.append(stage)
+
+    with pytest.raises(KeyboardInterrupt):
+        magpie.diagnose(fitted.model, ripple, progress=interrupt)
+    complete = []
+    magpie.diagnose(fitted.model, ripple, progress=lambda stage, share: complete.append(stage))
+    assert len(stages) < len(complete)
+
+
+def test_readme_runs():
+    text = (ROOT / "host-tools" / "python" / "README.md").read_text()
+    example = text.split("```python\n")[1].split("```")[0]
+    done = subprocess.run(
+        [sys.executable, "-c", example + "\nassert estimates.force_n.shape[1:] == (2, 2)"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "N (noise" in done.stdout
 
 
 def test_catalogue_is_listed():

@@ -19,7 +19,7 @@ use analysis::compare::ForceError;
 use analysis::compare::campaign_reader::{
     Caching, CampaignReader, ScannedCampaign, scan_with_progress,
 };
-use analysis::compare::pipeline::compare_scanned;
+use analysis::compare::pipeline::{compare_scanned, setup_errors_of};
 use analysis::diagnose::observer::Observer;
 use analysis::diagnose::{Diagnosis, diagnose};
 use analysis::edit_model::{find_effects, refit};
@@ -188,7 +188,9 @@ fn improve(fitted: &Fitted, scanned: ScannedCampaign, is_verbose: bool) -> Resul
     };
     let baseline = (steps.len() > 1).then_some(fitted.model_path);
     let model = ModelFile::read(last)?;
-    let comparison = compare_scanned(last, &model, baseline, scanned, None, fitted.options)?;
+    let findings = setup_errors_of(&scanned, &model, last)?;
+    let comparison =
+        compare_scanned((last, &model), baseline, (scanned, findings), None, fitted.options)?;
     print_notes(&comparison.notes);
     let base = comparison.other.as_deref().unwrap_or(&comparison);
     let verdict = text::comparison::verdict(base);

@@ -124,19 +124,24 @@ pub fn run(args: &Args) -> Result<()> {
             )?;
             drop(observer);
             bar.finish();
-            diagnosis.findings = findings;
+            diagnosis.findings.clone_from(&findings);
             diagnosis.set_suggestion(&own, model.base, 1e-3 * alignment.delay_us);
             (diagnosis, refit)
         }
-        None => (Diagnosis { findings, ..Diagnosis::default() }, None),
+        None => (Diagnosis { findings: findings.clone(), ..Diagnosis::default() }, None),
     };
     terminal::print_result(input.fit.json, || to_json(&diagnosis), || format_report(&diagnosis))?;
     if let Some((path, proposal)) = args.plan.as_ref().zip(diagnosis.proposal.as_ref()) {
         write_plan(args, path, proposal)?;
     }
     if common.output.is_some() {
-        let comparison =
-            compare_scanned(&input.model, &model, None, scanned, refit.as_ref(), options)?;
+        let comparison = compare_scanned(
+            (&input.model, &model),
+            None,
+            (scanned, findings),
+            refit.as_ref(),
+            options,
+        )?;
         print_notes(&comparison.notes);
         common.write_report(&comparison, &report::html::diagnosis::sections(&diagnosis))?;
     }

@@ -8,7 +8,7 @@ use analysis::progress;
 use anyhow::{Result, anyhow};
 use model_export::output::write_new;
 use model_export::recordings::align::Alignment;
-use model_export::recordings::{Campaign, guess, import};
+use model_export::recordings::{Campaign, DataError, guess, import};
 use serde_json::json;
 
 use crate::commands::print_notes;
@@ -61,14 +61,23 @@ pub fn run(args: &Args) -> Result<()> {
     let Some(mapping) = &args.mapping else {
         return propose(args);
     };
-    let bar = progress::progress_bar("importing", args.sources.len());
-    let (imported, notices) = import::import(mapping, &args.sources, &args.output, |_| bar.inc(1))?;
-    bar.finish_and_clear();
-    print_notes(&notices.into_iter().map(Note::Recording).collect::<Vec<_>>());
     let remedy =
         || format!("units and clocks are what {} states: correct `unit` there", mapping.display());
-    let campaign = Campaign::read(&args.output, Alignment { delay_us: 0.0 }, |_| ())
-        .map_err(|error| anyhow!("{error}; {}", remedy()))?;
+    // The user has the sources and the mapping, not the columns of the new recordings.
+    let with_remedy = |error: DataError| {
+        if error.location.file.starts_with(&args.output) {
+            anyhow!("{error}; {}", remedy())
+        } else {
+            error.into()
+        }
+    };
+    let bar = progress::progress_bar("importing", args.sources.len());
+    let (imported, notices) = import::import(mapping, &args.sources, &args.output, |_| bar.inc(1))
+        .map_err(with_remedy)?;
+    bar.finish_and_clear();
+    print_notes(&notices.into_iter().map(Note::Recording).collect::<Vec<_>>());
+    let campaign =
+        Campaign::read(&args.output, Alignment { delay_us: 0.0 }, |_| ()).map_err(with_remedy)?;
     let (notes, error) = import_notes(&campaign)?;
     print_notes(&notes);
     // A channel in another unit looks like permuted axes, too.

@@ -9,7 +9,10 @@ use report::text::simulate::{format_report, to_json};
 use report::text::terminal;
 use sim::campaign;
 use sim::campaign::plan::RecordingPlan;
-use sim::campaign::settings::{CampaignSettings, MAX_SENSORS};
+use sim::campaign::settings::{
+    CampaignSettings, DEFAULT_RECORDINGS, DEFAULT_REFERENCE_NOISE_N, DEFAULT_SECONDS,
+    MAX_RECORDINGS, MAX_SENSORS,
+};
 use sim::effects::{EFFECT_KINDS, Effect, EffectKind, draw_random_effects};
 use sim::hall_sensor::NoiseKind;
 use sim::motion::Programme;
@@ -34,10 +37,10 @@ pub struct Args {
     #[arg(long, value_enum, default_value = "bench")]
     programme: Programme,
     /// Number of recordings.
-    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=100))]
+    #[arg(long, value_name = "N", default_value_t = DEFAULT_RECORDINGS, value_parser = clap::value_parser!(u32).range(1..=i64::from(MAX_RECORDINGS)))]
     recordings: u32,
     /// Length of each recording.
-    #[arg(long, value_name = "S", default_value_t = 30.0)]
+    #[arg(long, value_name = "S", default_value_t = DEFAULT_SECONDS)]
     seconds: f64,
     /// Plan of more recordings of the same gripper, after the others.
     #[arg(long, value_name = "PLAN")]
@@ -64,7 +67,7 @@ pub struct Args {
     #[arg(long, value_name = "G")]
     field_noise: Option<f64>,
     /// White noise per reference sample.
-    #[arg(long, value_name = "N", default_value_t = 0.15)]
+    #[arg(long, value_name = "N", default_value_t = DEFAULT_REFERENCE_NOISE_N)]
     reference_noise: f64,
     /// Seed of all random numbers; the same seed gives identical files.
     // TOML (the truth file) has no larger integers.
@@ -138,7 +141,6 @@ fn settings(args: &Args) -> Result<CampaignSettings> {
         bail!("--strength {:?} is not possible here; give 0 to {MAX_STRENGTH}", args.strength);
     }
     let design = read_design(args.design.as_deref())?;
-    let of_design = CampaignSettings::of_design(&design);
     let settings = CampaignSettings {
         seed: args.seed,
         programme: args.programme,
@@ -157,7 +159,7 @@ fn settings(args: &Args) -> Result<CampaignSettings> {
         },
         hidden: args.random_effects.is_some(),
         plan: args.plan.as_deref().map(RecordingPlan::read).transpose()?,
-        ..of_design
+        ..CampaignSettings::of_design(&design)
     };
     settings.check_ranges().map_err(|error| anyhow!("--{error}"))?;
     Ok(settings)

@@ -22,7 +22,7 @@ const MIN_FORCE_SIGMA_N: f64 = 1.0;
 const MIN_FORCE_SHARE: f64 = 0.3;
 /// Maximum correlation of the two forces of a recording for their slopes to be identifiable.
 const MAX_CORRELATION: f64 = 0.95;
-/// Fraction of a field's variance below which its forces do not explain it, and above which others do.
+/// Fraction of a field's variance (assumed) below which its forces do not explain it, and above which others do.
 const UNEXPLAINED: f64 = 0.5;
 const EXPLAINED: f64 = 0.8;
 /// Ratio of the variances that two sets of forces leave from which only one of them is that of the sensor.
@@ -229,7 +229,7 @@ impl Check<'_> {
         if let Some(delay_s) = self.delay_s() {
             return self.clock(
                 format!("the field follows these forces only if they are read {:.2} s {}: the two clocks differ", delay_s.abs(), if delay_s > 0.0 { "later" } else { "earlier" }),
-                &format!("read the recordings with --delay-ms {:.0} for a first fit (`compare` then gives the exact value), or correct one of the two clocks", 1e3 * delay_s),
+                &format!("read the recordings with --delay-ms {:.0} (added to a delay that is given already) for a first fit (`compare` then gives the exact value), or correct one of the two clocks", 1e3 * delay_s),
             );
         }
         Err(error)

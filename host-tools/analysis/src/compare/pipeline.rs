@@ -42,7 +42,8 @@ pub fn compare(
 ) -> Result<Comparison> {
     let model = ModelFile::read(path)?;
     let scanned = ScannedCampaign::open(campaign, alignment, Caching::IfFew)?;
-    compare_scanned(path, &model, other, scanned, None, options)
+    let findings = setup_errors_of(&scanned, &model, path)?;
+    compare_scanned((path, &model), other, (scanned, findings), None, options)
 }
 
 /// Setup errors of a campaign, from its files and from the predictions of the model at `path`.
@@ -70,22 +71,20 @@ pub fn setup_errors_of(
     Ok(merge(scanned.findings.clone(), of_model))
 }
 
-/// [`compare`] on a campaign that is already open. `refit` is a fit of the model to all of its recordings, if known.
+/// [`compare`] on a campaign that is already open, with its setup errors ([`setup_errors_of`]). `refit` is a fit of the model to all of its recordings, if known.
 ///
 /// # Errors
 /// A file cannot be read, or model and recordings do not match.
 pub fn compare_scanned(
-    path: &Path,
-    model: &ModelFile,
+    (path, model): (&Path, &ModelFile),
     other: Option<&Path>,
-    scanned: ScannedCampaign,
+    (scanned, findings): (ScannedCampaign, Vec<Finding>),
     refit: Option<&ModelRefit>,
     options: FitOptions,
 ) -> Result<Comparison> {
     if let Some(source) = &scanned.reader {
         source.check_distinct()?;
     }
-    let findings = setup_errors_of(&scanned, model, path)?;
     let is_stopped = findings.iter().any(|finding| finding.stops);
     let Some(source) = scanned.reader.filter(|_| !is_stopped) else {
         return Ok(Comparison {

@@ -57,7 +57,13 @@ pub struct CampaignSettings {
 /// Maximum number of simulated sensors; the board reads four.
 pub const MAX_SENSORS: u32 = 8;
 /// Maximum number of recordings of the programme.
-const MAX_RECORDINGS: u32 = 100;
+pub const MAX_RECORDINGS: u32 = 100;
+/// Default number of recordings, their length in seconds, and the white noise of a reference row in newtons.
+pub const DEFAULT_RECORDINGS: u32 = 3;
+/// See [`DEFAULT_RECORDINGS`].
+pub const DEFAULT_SECONDS: f64 = 30.0;
+/// See [`DEFAULT_RECORDINGS`].
+pub const DEFAULT_REFERENCE_NOISE_N: f64 = 0.15;
 /// Minimum length of a recording: the ramp-up of the load.
 const MIN_SECONDS: f64 = 3.0;
 /// Maximum length of a recording: the range of its clocks.
@@ -74,13 +80,13 @@ const MAX_WARMER_K: f64 = 60.0;
 const MAX_SCATTER: f64 = 4.0;
 
 impl CampaignSettings {
-    /// Three recordings of 30 s of a gripper of this design, without effects.
+    /// The default: a gripper of this design without effects.
     pub fn of_design(design: &SensorDesign) -> Self {
         Self {
             seed: 1,
             programme: Programme::Bench,
-            recordings: 3,
-            seconds: 30.0,
+            recordings: DEFAULT_RECORDINGS,
+            seconds: DEFAULT_SECONDS,
             plan: None,
             design: design.nominal(),
             part: HallScale {
@@ -93,7 +99,7 @@ impl CampaignSettings {
             harder: 1.0,
             warmer_k: 0.0,
             field_noise_g: design.sensor.noise_gauss,
-            reference_noise_n: 0.15,
+            reference_noise_n: DEFAULT_REFERENCE_NOISE_N,
             effects: Vec::new(),
             hidden: false,
         }
