@@ -27,19 +27,25 @@ pub struct EffectSize {
 impl EffectSize {
     /// Whether it is within the plausible range.
     pub fn is_plausible(&self) -> bool {
-        self.within(self.size.plausible)
+        within((self.value, self.std_error), self.size.plausible)
     }
 
     /// Whether it is within the physically possible range.
     pub fn is_possible(&self) -> bool {
-        self.within(self.size.possible)
+        within((self.value, self.std_error), self.size.possible)
     }
 
-    /// Within the range, with a tolerance of two standard errors.
-    fn within(&self, (low, high): (f64, f64)) -> bool {
-        let slack = 2.0 * self.std_error;
-        self.value + slack >= low && self.value - slack <= high
+    /// Whether a single coefficient is physically possible; the components of a norm have any sign.
+    pub fn allows_coefficient(&self, value: f64, std_error: f64, unit: &str) -> bool {
+        let is_magnitude =
+            matches!(self.size.aggregation, Aggregation::Largest) && unit == self.size.unit;
+        !is_magnitude || within((value, std_error), self.size.possible)
     }
+}
+
+/// Whether a value with its standard error lies in a range, with a tolerance of two standard errors.
+fn within((value, std_error): (f64, f64), (low, high): (f64, f64)) -> bool {
+    value + 2.0 * std_error >= low && value - 2.0 * std_error <= high
 }
 
 /// Magnitudes of `effects`, in the given order; `fit` has them in the order of their stages.

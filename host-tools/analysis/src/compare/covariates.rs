@@ -112,6 +112,11 @@ impl Covariate {
         }
     }
 
+    /// Whether it is computed from other columns.
+    pub fn is_derived(&self) -> bool {
+        self.name == "temp_rate_c_per_min" || STATOR_CURRENTS.contains(&self.name.as_ref())
+    }
+
     /// Values over a recording; `None` where it was not recorded. `place` is the recording's number from 1.
     pub fn values(&self, track: &ExcitationSeries, place: usize) -> Option<Vec<f64>> {
         let of_force = |f: &dyn Fn(&[f64; 2]) -> f64| Some(track.force_n.iter().map(f).collect());

@@ -134,6 +134,8 @@ pub struct Comparison {
     /// Covariates that explain the residual: first the selected ones in order of selection, then the others
     /// by their share of the remaining residual.
     pub located: Vec<Attribution>,
+    /// Standard covariates that no recording has: whether the residual depends on them is unknown.
+    pub not_recorded: Vec<Cow<'static, str>>,
     /// RMS residual over the two leading covariates.
     pub map: Option<ResidualMap>,
     /// Intervals with the largest error, largest first.

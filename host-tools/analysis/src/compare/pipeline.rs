@@ -24,6 +24,7 @@ use model_export::model_file::{ModelFile, Predictor};
 use model_export::recordings::Location;
 use model_export::recordings::align::Alignment;
 use model_export::recordings::columns::Axis;
+use std::borrow::Cow;
 use std::path::Path;
 
 /// Minimum length of a bootstrap block in seconds.
@@ -206,6 +207,7 @@ pub(crate) fn evaluate(
         forces: device.errors,
         no_forces: device.none,
         located: located(&columns, &locator, &ranked, block_s, options.seed),
+        not_recorded: not_recorded(&columns),
         map: match ranked.as_slice() {
             [first, second, ..] => residual_map(&columns, first.covariate, second.covariate),
             _ => None,
@@ -259,6 +261,17 @@ fn axes(fields: &FieldEvaluation, columns: &[ResidualTable]) -> Vec<FieldAxisErr
         Axis::ALL.into_iter().enumerate().map(axis).collect::<Vec<_>>()
     };
     fields.sensors.iter().zip(columns).flat_map(of_sensor).collect()
+}
+
+/// Words of the recorded standard covariates without a value in any row.
+fn not_recorded(sensors: &[ResidualTable]) -> Vec<Cow<'static, str>> {
+    let names = sensors.first().map_or(&[][..], |sensor| &sensor.covariates).iter();
+    let is_missing = |name: &str| {
+        let mut columns = sensors.iter().filter_map(|sensor| sensor.column(name));
+        columns.all(|column| column.values.iter().all(|value| value.is_nan()))
+    };
+    let missing = names.filter(|column| !column.of.is_derived() && is_missing(&column.of.name));
+    missing.map(|column| column.of.words.clone()).collect()
 }
 
 fn located(

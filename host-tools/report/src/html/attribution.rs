@@ -5,7 +5,7 @@ use crate::html::plot::{
 };
 use crate::html::tables::table;
 use crate::html::{palette, sensor_that_errs_most};
-use crate::text::comparison::conditions;
+use crate::text::comparison::{conditions, not_recorded};
 use analysis::compare::{Attribution, Comparison};
 use analysis::numbers::{number, whole_percent};
 use maud::{Markup, html};
@@ -36,6 +36,7 @@ pub fn section(comparison: &Comparison) -> Markup {
                     "Mean residual (measured minus modelled) in gauss over each covariate, with its 95 % band. "
                     "A flat line at zero: this covariate explains no residual."
                 }
+                @if let Some(text) = not_recorded(comparison) { p.note { (text) } }
                 p.controls.live hidden {
                     label for="located-sensor" { "Sensor " }
                     select #located-sensor {

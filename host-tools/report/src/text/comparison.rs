@@ -237,9 +237,11 @@ fn attribution_table(comparison: &Comparison) -> String {
         .take(UNSELECTED_ROWS);
     let candidates = comparison.located.len();
     let shown: Vec<&Attribution> = chosen.chain(others).collect();
+    let not_recorded = not_recorded(comparison).map(|text| terminal::paragraph(&text));
+    let not_recorded = not_recorded.unwrap_or_default();
     if shown.is_empty() {
         return format!(
-            "{HEADING}Attribution of the residual{HEADING:#}\nNone of {candidates} covariates explains the residual.\n\n"
+            "{HEADING}Attribution of the residual{HEADING:#}\nNone of {candidates} covariates explains the residual.\n{not_recorded}\n"
         );
     }
     let heads = ["", "residual follows", "share", "from", "mean error by bin", "to", "of", "± G"];
@@ -276,7 +278,17 @@ fn attribution_table(comparison: &Comparison) -> String {
         "Share: of the squared residual above the floor, on held-out rows, in addition to the previous covariates. Bars: the channel with the largest variation, from -G to +G. Correlation time of the residual: {:.2} s.",
         comparison.correlation_s
     ));
-    page + "\n"
+    page + &not_recorded + "\n"
+}
+
+/// The covariates on which nothing can be said; `None` if all were recorded.
+pub fn not_recorded(comparison: &Comparison) -> Option<String> {
+    (!comparison.not_recorded.is_empty()).then(|| {
+        format!(
+            "Not recorded, so that nothing can be said on a dependence: {}.",
+            comparison.not_recorded.join(", ")
+        )
+    })
 }
 
 /// Sensor index and axis with the largest variation of the mean error over the bins.
@@ -468,6 +480,7 @@ pub fn to_json(comparison: &Comparison) -> Value {
         "force": ForceError::of(&comparison.forces),
         "forces": comparison.forces.iter().map(force_json).collect::<Vec<_>>(),
         "where": comparison.located,
+        "not_recorded": comparison.not_recorded,
         "worst": comparison.worst.iter().map(worst_json).collect::<Vec<_>>(),
         "correlation_s": comparison.correlation_s,
         "verdict": verdict(comparison),

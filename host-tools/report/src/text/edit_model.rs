@@ -25,7 +25,7 @@ pub fn format_report(edit: &ModelEdit) -> String {
     format!(
         "{}\n{}\n{}{}{}",
         effect_table(edit),
-        parameter_table(&edit.model.effects),
+        parameter_table(&edit.model.effects, &edit.sizes),
         error_table(edit),
         force_sentence(edit),
         terminal::paragraph(&verdict(edit)),
@@ -72,8 +72,9 @@ fn effect_table(edit: &ModelEdit) -> String {
 }
 
 /// Parameters of every effect and sensor, without initial states: those do not describe the gripper.
-fn parameter_table(effects: &[EffectModel]) -> String {
+fn parameter_table(effects: &[EffectModel], sizes: &[EffectSize]) -> String {
     let mut text = String::new();
+    let mut is_any_impossible = false;
     let Some(first) = effects.first() else {
         return text;
     };
@@ -81,7 +82,7 @@ fn parameter_table(effects: &[EffectModel]) -> String {
     for numbers in numbers.chunks(SENSORS_ACROSS) {
         let heads = numbers.iter().map(|number| format!("sensor {number}"));
         let mut table = terminal::table(["parameter".to_owned()].into_iter().chain(heads));
-        for effect in effects {
+        for (effect, size) in effects.iter().zip(sizes) {
             let sensors =
                 || effect.sensors.iter().filter(|sensor| numbers.contains(&sensor.number));
             let Some(first) = sensors().next() else {
@@ -93,7 +94,14 @@ fn parameter_table(effects: &[EffectModel]) -> String {
             {
                 let shown = sensors().map(|sensor| match sensor.parameters.get(name) {
                     Some(value) => {
-                        let mark = if value.identifiable { "" } else { "?" };
+                        let is_impossible =
+                            !size.allows_coefficient(value.value, value.std_error, &value.unit);
+                        is_any_impossible |= is_impossible && value.identifiable;
+                        let mark = match (value.identifiable, is_impossible) {
+                            (false, _) => "?",
+                            (true, true) => "!",
+                            (true, false) => "",
+                        };
                         numbers::with_error(value.value, value.std_error, value.value.abs()) + mark
                     }
                     None => String::new(),
@@ -104,6 +112,9 @@ fn parameter_table(effects: &[EffectModel]) -> String {
         }
         terminal::right_align(&mut table, 1);
         text += &format!("{table}\n");
+    }
+    if is_any_impossible {
+        text += "!: physically impossible by more than two standard errors: a part of another effect.\n";
     }
     text + "?: not identifiable from these recordings.\n"
 }
