@@ -10,7 +10,7 @@ use analysis::diagnose::observer::Observer;
 use analysis::diagnose::{self, Diagnosis};
 use analysis::edit_model::{edited_effects, find_effects, parse_formulas, refit};
 use analysis::fit::fit_model;
-use analysis::notes::check_compensated;
+use analysis::notes::{Note, check_compensated};
 use analysis::replay::evaluation;
 use anyhow::{Context, Result, bail};
 use device_run::networks::NetworkSet;
@@ -133,6 +133,8 @@ fn diagnose_campaign(
             let stopped = Diagnosis { findings, ..Diagnosis::default() };
             return Ok(text::diagnosis::to_json(&stopped));
         };
+        let hashes = reader.names.iter().map(|recording| recording.sha256.as_str());
+        let is_fitted_here = Note::other_recordings(&file, hashes).is_none();
         let rows = reader.whole()?;
         let own = formulas(&exprs, &ranges, &rows)?;
         let observer = Observer::new(
@@ -154,7 +156,7 @@ fn diagnose_campaign(
             diagnose::diagnose((&rows, alignment), &file, &model, &own, plans, options, &observer)?;
         drop(observer);
         diagnosis.findings = findings;
-        diagnosis.set_suggestion(&own, file.base, delay_ms);
+        diagnosis.set_suggestion(&own, file.base, delay_ms, is_fitted_here);
         Ok(text::diagnosis::to_json(&diagnosis))
     })?;
     // An exception in the callback has ended the diagnosis early.

@@ -105,7 +105,8 @@ pub fn run(args: &Args) -> Result<()> {
             let own = args.exprs.parse(&campaign)?;
             print_notes(Note::other_design(&campaign, &model).as_slice());
             let hashes = reader.names.iter().map(|recording| recording.sha256.as_str());
-            print_notes(Note::other_recordings(&model, hashes).as_slice());
+            let other_recordings = Note::other_recordings(&model, hashes);
+            print_notes(other_recordings.as_slice());
             let bar = progress::Stages::new();
             let stop = first_interrupt()?;
             let observer = Observer::new(
@@ -125,7 +126,9 @@ pub fn run(args: &Args) -> Result<()> {
             drop(observer);
             bar.finish();
             diagnosis.findings.clone_from(&findings);
-            diagnosis.set_suggestion(&own, model.base, 1e-3 * alignment.delay_us);
+            let is_fitted_here = other_recordings.is_none();
+            let delay_ms = 1e-3 * alignment.delay_us;
+            diagnosis.set_suggestion(&own, model.base, delay_ms, is_fitted_here);
             (diagnosis, refit)
         }
         None => (Diagnosis { findings: findings.clone(), ..Diagnosis::default() }, None),

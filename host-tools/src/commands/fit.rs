@@ -9,6 +9,7 @@ use anyhow::Result;
 use clap::ValueEnum;
 use model_export::model_file::{self, BaseKind};
 use model_export::output::check_output;
+use report::text::findings::message;
 use report::text::fit::{format_report, to_json};
 use report::text::terminal;
 
@@ -72,7 +73,29 @@ pub fn run(args: &Args) -> Result<()> {
     let alignment = args.fit.align.alignment()?;
     if let Some(to) = &args.fix {
         let check = |folder: &Path| scan_with_progress(folder);
-        for correction in fix::write(&args.campaign, &check(&args.campaign)?, to, check)? {
+        let findings = check(&args.campaign)?;
+        if findings.iter().all(|finding| finding.fix.is_none()) {
+            // What a fit refuses shows only in the fit.
+            let messages =
+                findings.iter().map(|finding| format!("{}: {}", finding.place, message(finding)));
+            let refusal = fit_model(
+                &args.campaign,
+                args.base.kind(),
+                args.degree,
+                alignment,
+                args.fit.options(),
+            );
+            let messages = messages.chain(refusal.err().map(|error| error.to_string()));
+            let messages: Vec<String> = messages.collect();
+            anyhow::bail!(
+                "nothing here has an unambiguous correction, so that {} is not written{}{}; with a good model of this gripper, \
+                 `compare --fix` corrects more",
+                to.display(),
+                if messages.is_empty() { "" } else { ": " },
+                messages.join("; ")
+            );
+        }
+        for correction in fix::write(&args.campaign, &findings, to, check)? {
             eprintln!("{correction}");
         }
         eprintln!("Corrected and checked: {}", to.display());

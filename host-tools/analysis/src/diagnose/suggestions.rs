@@ -1,6 +1,6 @@
 //! Suggested next command.
 
-use crate::diagnose::Diagnosis;
+use crate::diagnose::{Diagnosis, Verdict, VerdictKind};
 use model_export::effects::EffectTerm;
 use model_export::model_file::BaseKind;
 
@@ -14,8 +14,12 @@ pub enum SuggestionKind {
     AddEffects,
     /// Separate equivalent effects, or add one of them.
     ChooseEffect,
+    /// Fit with the clocks aligned.
+    AlignClocks,
     /// Export the model.
     Export,
+    /// Replay a model that was fitted to other recordings, before it is used.
+    Replay,
     /// Test a formula of a covariate.
     TestFormula,
     /// Inspect the residual.
@@ -41,6 +45,8 @@ pub struct Invocation<'a> {
     pub delay_ms: f64,
     /// The model's base.
     pub base: BaseKind,
+    /// Whether the model was fitted to one of these recordings.
+    pub is_fitted_here: bool,
     /// User-defined effects.
     pub own: &'a [EffectTerm],
 }
@@ -60,13 +66,26 @@ const MADE: [&str; 8] = [
 
 impl Diagnosis {
     /// Sets the suggested command; `own` are the user-defined effects, `base` is that of the model.
-    pub fn set_suggestion(&mut self, own: &[EffectTerm], base: BaseKind, delay_ms: f64) {
+    pub fn set_suggestion(
+        &mut self,
+        own: &[EffectTerm],
+        base: BaseKind,
+        delay_ms: f64,
+        is_fitted_here: bool,
+    ) {
         let discovered = self.formulas.iter().chain(&self.equivalent_formulas);
         let discovered = discovered.flat_map(|formula| &formula.effects);
         let own: Vec<EffectTerm> = own.iter().chain(discovered).cloned().collect();
         self.next = suggest(
             self,
-            &Invocation { model: &self.model, campaign: &self.campaign, delay_ms, base, own: &own },
+            &Invocation {
+                model: &self.model,
+                campaign: &self.campaign,
+                delay_ms,
+                base,
+                is_fitted_here,
+                own: &own,
+            },
         );
     }
 }
@@ -84,6 +103,17 @@ pub fn suggest(diagnosis: &Diagnosis, typed: &Invocation) -> Suggestion {
     };
     let suggestion = |kind, commands| Suggestion { kind, commands };
     let report = || vec![command("compare", &["-o", "report.html"].map(str::to_owned))];
+    if let Some(skew_ms) = clock_skew_ms(diagnosis) {
+        // The device cannot compensate it; with the clocks aligned, the other effects are found again.
+        let delay_ms = ((typed.delay_ms + skew_ms) * 1e2).round() / 1e2;
+        let mut words = ["cargo", "magpie", "fit", typed.campaign].map(str::to_owned).to_vec();
+        words.extend(["--delay-ms".to_owned(), delay_ms.to_string()]);
+        if typed.base == BaseKind::Polynomial {
+            words.extend(["--base", "polynomial"].map(str::to_owned));
+        }
+        words.extend(["-o".to_owned(), better(typed.model)]);
+        return suggestion(SuggestionKind::AlignClocks, vec![line(&words)]);
+    }
     if let Some(sets) = sets(&diagnosis.accepted) {
         let add = |set: &Vec<&String>| {
             let mut rest = named(set, typed.own);
@@ -105,6 +135,9 @@ pub fn suggest(diagnosis: &Diagnosis, typed: &Invocation) -> Suggestion {
     }
     let usable = |covariate: &&str| !MADE.contains(covariate);
     let covariates = diagnosis.unexplained.iter().map(|u| u.covariate.as_str());
+    if diagnosis.at_floor && typed.base == BaseKind::Cylinder && !typed.is_fitted_here {
+        return suggestion(SuggestionKind::Replay, vec![command("replay", &[])]);
+    }
     if diagnosis.at_floor && typed.base == BaseKind::Cylinder {
         let words =
             ["cargo", "magpie", "export", typed.model, "-o", "tables.rs"].map(str::to_owned);
@@ -117,6 +150,14 @@ pub fn suggest(diagnosis: &Diagnosis, typed: &Invocation) -> Suggestion {
         ),
         _ => suggestion(SuggestionKind::Compare, report()),
     }
+}
+
+/// The offset of the clocks in milliseconds, where it was found and no other effect explains the same.
+fn clock_skew_ms(diagnosis: &Diagnosis) -> Option<f64> {
+    let skew =
+        |verdict: &&Verdict| verdict.effect == "clock_skew" && verdict.kind == VerdictKind::Found;
+    let found = diagnosis.verdicts.iter().find(skew)?;
+    found.value.is_finite().then_some(found.value)
 }
 
 /// What to add together: what was found with, for the first tie, each of its members.
@@ -197,6 +238,7 @@ mod tests {
         campaign: "my campaign",
         delay_ms: 0.0,
         base: BaseKind::Cylinder,
+        is_fitted_here: true,
         own: &[],
     };
 

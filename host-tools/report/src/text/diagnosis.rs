@@ -442,6 +442,13 @@ pub fn suggestion_heading(kind: SuggestionKind) -> &'static str {
         SuggestionKind::ChooseEffect => {
             "Suggestion, choose one and add it, or make a recording that tells them apart (`--plan` proposes one where a short one can):"
         }
+        SuggestionKind::AlignClocks => {
+            "Suggestion, align the clocks, which no device can compensate, and diagnose the new model with the same --delay-ms:"
+        }
+        SuggestionKind::Replay => {
+            "No missing effect was found, with the model's parameters fitted again. Its file is of other recordings: see whether it \
+             holds for this gripper before its tables are used, else fit these recordings:"
+        }
         SuggestionKind::Export => {
             "No missing effect was found. Suggestion, the tables for the device:"
         }

@@ -300,7 +300,7 @@ fn column_error(error: &ColumnError, columns: usize) -> String {
         }
         ColumnError::FieldUnit(unit) => format!("{is} in {unit}, not in gauss"),
         ColumnError::FieldFactor { factor, in_counts } => {
-            let advice = if *in_counts {
+            let advice = if *in_counts && columns > 1 {
                 " (look at gauss_per_lsb in recording.toml: the sensor's range may be another)"
             } else {
                 ""

@@ -245,6 +245,32 @@ fn field_in_wrong_unit_is_corrected() {
 }
 
 #[test]
+fn single_channel_in_another_unit_is_named() {
+    for wrong in ["x", "y", "z"] {
+        for (factor, said) in [(10.0, "10 times the model's field"), (0.1, "in mT, not in gauss")] {
+            let spoilt = CampaignCopy::new().change(&ALL, "hall.csv", |cells| {
+                for axis in ["x", "y", "z"] {
+                    let column = format!("s0_{axis}_lsb");
+                    let scale = if axis == wrong { 0.125 * factor } else { 0.125 };
+                    cells.change(&column, |_, counts| (counts * scale).to_string());
+                    let i = cells.index(&column);
+                    cells.header[i] = format!("s0_{axis}_gauss");
+                }
+            });
+            for recording in ALL {
+                // Ten times the field along y exceeds the range.
+                let path = spoilt.recording(recording).join("recording.toml");
+                let text = std::fs::read_to_string(&path).unwrap();
+                std::fs::write(&path, text.replace("range_gauss = 2000.0\n", "")).unwrap();
+            }
+            let finding = only(&spoilt);
+            assert_eq!((finding.id, finding.stops), ("wrong_unit", true), "{wrong} {factor}");
+            assert_message(&finding, &[&format!("s0_{wrong}_gauss is {said}"), "throughout"]);
+        }
+    }
+}
+
+#[test]
 fn force_in_wrong_unit_is_corrected() {
     for (unit, newtons) in [("kgf", 9.806_65), ("mN", 1e-3), ("kN", 1e3), ("gf", 9.806_65e-3)] {
         let spoilt = CampaignCopy::new().change(&ALL, "force.csv", |cells| {

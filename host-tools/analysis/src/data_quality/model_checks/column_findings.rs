@@ -135,19 +135,22 @@ fn exchanged(
     ColumnErrors { columns, repairs }
 }
 
-fn field_unit(names: &Names, verdict: &Verdict, factor: f64) -> ColumnErrors {
+fn field_unit(names: &Names, verdict: &Verdict, factors: [f64; 3]) -> ColumnErrors {
     let raw = names.is_raw(verdict.recording, verdict.sensor);
-    let unit = hypothesis::field_unit(factor);
-    let error = match unit {
-        Some((name, _)) if !raw => ColumnError::FieldUnit(name),
-        _ => ColumnError::FieldFactor { factor: 1.0 / factor, in_counts: raw },
-    };
-    let columns = (0..3).map(|axis| names.field(verdict.recording, verdict.sensor, axis));
-    let repairs = match unit.filter(|_| !raw) {
-        Some((_, exact)) => converted(names.hall(verdict.recording), columns.clone(), exact),
-        None => Vec::new(),
-    };
-    ColumnErrors { columns: columns.map(|column| (column, error.clone())).collect(), repairs }
+    let mut errors = ColumnErrors::default();
+    for (axis, factor) in factors.into_iter().enumerate().filter(|(_, factor)| *factor != 1.0) {
+        let column = names.field(verdict.recording, verdict.sensor, axis);
+        let error = match hypothesis::field_unit(factor).filter(|_| !raw) {
+            Some((name, exact)) => {
+                let file = names.hall(verdict.recording);
+                errors.repairs.extend(converted(file, [column.clone()].into_iter(), exact));
+                ColumnError::FieldUnit(name)
+            }
+            None => ColumnError::FieldFactor { factor: 1.0 / factor, in_counts: raw },
+        };
+        errors.columns.push((column, error));
+    }
+    errors
 }
 
 fn force_unit(names: &Names, verdict: &Verdict, factors: [f64; 2]) -> ColumnErrors {

@@ -30,8 +30,8 @@ pub enum Hypothesis {
     OfSensor(u32),
     /// Sources of the sensor's forces, in their order.
     Forces(Vec<Source>),
-    /// Gauss per recorded unit of the field.
-    FieldUnit(f64),
+    /// Gauss per recorded unit of the field's axes; 1 for a correct column.
+    FieldUnit([f64; 3]),
     /// Newtons per recorded unit of the forces, lateral and longitudinal; 1 for a correct
     /// column.
     ForceUnit([f64; 2]),
@@ -237,18 +237,32 @@ fn is_a_unit(factor: f64) -> bool {
     factor.is_finite() && (factor > A_UNIT || (factor > 0.0 && factor < 1.0 / A_UNIT))
 }
 
-/// Best-fitting factor of the field.
-fn field(case: &Case) -> Option<Tried> {
+/// Best-fitting factor of the field: common, and of each axis alone.
+fn field(case: &Case) -> Vec<Tried> {
     let pairs = || case.measured.iter().zip(&case.modelled);
-    let both: f64 = pairs().map(|(measured, modelled)| measured.dot(modelled)).sum();
-    let own: f64 = pairs().map(|(measured, _)| measured.norm_squared()).sum();
-    let factor = both / own;
-    let scaled: Vec<Vector3<f64>> = case.measured.iter().map(|field| field * factor).collect();
-    is_a_unit(factor).then(|| Tried {
-        hypothesis: Hypothesis::FieldUnit(factor),
-        left: mean_square(&scaled, &case.modelled),
-        cost: 1,
-    })
+    let product =
+        |axis: usize| pairs().map(|(measured, modelled)| measured[axis] * modelled[axis]).sum();
+    let square = |axis: usize| pairs().map(|(measured, _)| measured[axis].powi(2)).sum();
+    let (products, squares): ([f64; 3], [f64; 3]) = ([0, 1, 2].map(product), [0, 1, 2].map(square));
+    let common = products.iter().sum::<f64>() / squares.iter().sum::<f64>();
+    let alone = |axis: usize| {
+        let factor = products[axis] / squares[axis];
+        [0, 1, 2].map(|other| if other == axis { factor } else { 1.0 })
+    };
+    [[common; 3], alone(0), alone(1), alone(2)]
+        .into_iter()
+        .filter(|factors| factors.iter().any(|factor| is_a_unit(*factor)))
+        .map(|factors| {
+            let scale = Vector3::from(factors);
+            let scaled: Vec<Vector3<f64>> =
+                case.measured.iter().map(|field| field.component_mul(&scale)).collect();
+            Tried {
+                hypothesis: Hypothesis::FieldUnit(factors),
+                left: mean_square(&scaled, &case.modelled),
+                cost: 1,
+            }
+        })
+        .collect()
 }
 
 /// Best-fitting factor of the forces: common, and each alone.
@@ -410,7 +424,7 @@ fn alike(one: &Verdict, other: &Verdict) -> bool {
     match (&one.best.hypothesis, &other.best.hypothesis) {
         (Axes(a), Axes(b)) => a == b,
         (OfSensor(_), OfSensor(_)) => true,
-        (FieldUnit(a), FieldUnit(b)) => field_unit(*a) == field_unit(*b),
+        (FieldUnit(a), FieldUnit(b)) => a.map(field_unit) == b.map(field_unit),
         (ForceUnit(a), ForceUnit(b)) => {
             [0, 1].map(|i| force_unit(a[i])) == [0, 1].map(|i| force_unit(b[i]))
         }
