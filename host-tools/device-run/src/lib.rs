@@ -4,9 +4,11 @@
 //! that time. Replay, training data, disturbance evaluation and the simulated board read recordings with it.
 //!
 //! - [`channel_map`]: columns of a recording as readings and covariates in the device's units.
+//! - [`mcap`]: a recording with the device's estimates as an MCAP file.
 //! - [`networks`]: recurrent networks in fixed and floating point.
 
 pub mod channel_map;
+pub mod mcap;
 pub mod networks;
 
 use firmware::compensation::auxiliary_inputs::AuxiliaryInputs;

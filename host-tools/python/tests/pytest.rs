@@ -1,5 +1,5 @@
 //! Runs the tests of the Python package with this build of its library, where `PYTHON` names an interpreter that has numpy, pandas,
-//! matplotlib and pytest.
+//! matplotlib, pytest, and the reference implementations of bags (see `.ci/run`).
 
 use std::env::consts::{DLL_PREFIX, DLL_SUFFIX};
 use std::path::Path;
@@ -8,7 +8,7 @@ use std::process::Command;
 fn main() {
     let Some(python) = std::env::var_os("PYTHON") else {
         println!(
-            "not tested: the Python package; set PYTHON to an interpreter with numpy, pandas, matplotlib and pytest"
+            "not tested: the Python package; set PYTHON to an interpreter with the packages that .ci/run installs"
         );
         return;
     };

@@ -1,9 +1,7 @@
 """The package against the command, and the device over arrays against the device on files."""
 
-import json
 import math
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -16,35 +14,7 @@ import pandas as pd
 import pytest
 
 import magpie
-
-ROOT = Path(__file__).resolve().parents[3]
-DATA = ROOT / "tests" / "data"
-
-
-@pytest.fixture(scope="session")
-def command():
-    """The command, as built by the tests of the workspace or found on the path."""
-    built = [ROOT / "target" / profile / "magpie" for profile in ("debug", "release")]
-    found = [str(path) for path in built if path.exists()] + [shutil.which("magpie")]
-    if not found[0]:
-        pytest.fail("build the command first: cargo build --workspace")
-
-    def run(*arguments):
-        line = [found[0], *map(str, arguments), "--json"]
-        done = subprocess.run(line, capture_output=True, text=True, check=True)
-        return json.loads(done.stdout)
-
-    return run
-
-
-@pytest.fixture(scope="session")
-def ripple():
-    return magpie.Campaign.read(DATA / "ripple")
-
-
-@pytest.fixture(scope="session")
-def fitted(ripple):
-    return magpie.fit(ripple)
+from conftest import DATA, ROOT
 
 
 @pytest.fixture(scope="session")

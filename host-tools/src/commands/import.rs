@@ -4,10 +4,12 @@ use std::path::PathBuf;
 
 use analysis::fit::import_notes;
 use analysis::notes::Note;
+use analysis::numbers;
 use analysis::progress;
 use anyhow::{Result, anyhow};
 use model_export::output::write_new;
 use model_export::recordings::align::Alignment;
+use model_export::recordings::error::ErrorKind;
 use model_export::recordings::{Campaign, DataError, guess, import};
 use serde_json::json;
 
@@ -20,6 +22,7 @@ use report::text::terminal;
 Examples:
   cargo magpie import --guess run1.csv run2.csv run3.csv -o mapping.toml    # proposes a mapping: check it
   cargo magpie import mapping.toml run1.csv run2.csv run3.csv -o my-campaign
+  cargo magpie import --guess bag1 bag2 -o mapping.toml    # ROS 2 bags and MCAP files, as these folders or .mcap
   cargo magpie import tests/data/eflesh_normal.mapping.toml run1.csv run2.csv run3.csv -o eflesh
 
 A mapping file:
@@ -29,7 +32,7 @@ A mapping file:
   clock = { from = \"t_sensor_s\", unit = \"s\" }
   columns = [ { from = \"bx0_uT\", unit = \"uT\", to = \"s0_x_gauss\" } ]
   [force]
-  clock = { from = \"t_state_s\", unit = \"s\" }
+  clock = { from = \"t_state_s\", unit = \"s\", offset_s = -338.99 }    # added: where the two clocks differ
   columns = [ { from = \"weight_g\", unit = \"g\", to = \"f0_z_n\", scale = -1, missing = -1 } ]
   [design]                          # of the sensor, if known; else fit with --base polynomial
   gap_mm = 2.0                      # from the magnet's face to the Hall element, unloaded
@@ -37,6 +40,8 @@ A mapping file:
   stiffness_z_n_per_mm = 100.0      # longitudinal
   force_range_n = 250.0             # largest force of each axis, either sign; the tables of the device cover it
   magnet = { shape = \"cylinder\", diameter_mm = 4.0, length_mm = 3.0, remanence_t = 1.3, axis = \"y\" }
+In a bag a column is topic.field, as in \"/finger0/mag.magnetic_field.x\", with the clock \"/finger0/mag.header.stamp\" or
+\"/finger0/mag.log_time\" in ns. There is a row for each message of the clock's topic; other topics are joined by time.
 For separate files of the two sides, give each side `file = \"NAME\"` and pass folders as sources.")]
 pub struct Args {
     /// Mapping of the source columns.
@@ -65,7 +70,15 @@ pub fn run(args: &Args) -> Result<()> {
         || format!("units and clocks are what {} states: correct `unit` there", mapping.display());
     // The user has the sources and the mapping, not the columns of the new recordings.
     let with_remedy = |error: DataError| {
-        if error.location.file.starts_with(&args.output) {
+        if let ErrorKind::NoOverlap { hall_from, force_from, .. } = *error.kind {
+            anyhow!(
+                "{error}; in {}: where both began at the same instant, add offset_s = {:.3} to the clock of [force]",
+                mapping.display(),
+                hall_from - force_from
+            )
+        } else if error.location.file.starts_with(&args.output)
+            && error.location.file != args.output
+        {
             anyhow!("{error}; {}", remedy())
         } else {
             error.into()
@@ -171,8 +184,8 @@ fn propose(args: &Args) -> Result<()> {
         table.add_row([
             column.from.clone(),
             column.unit.to_owned(),
-            format!("{min}"),
-            format!("{max}"),
+            numbers::decimal_or_dash(min, 6),
+            numbers::decimal_or_dash(max, 6),
             column.to.clone(),
         ]);
     }
@@ -184,7 +197,9 @@ fn propose(args: &Args) -> Result<()> {
         let names = proposal.ignored.iter().map(|(name, reason)| format!("{name} ({reason})"));
         text += &format!("Not imported: {}.\n", names.collect::<Vec<_>>().join(", "));
     }
-    text += "Please check in the file:\n";
+    if !proposal.checks.is_empty() {
+        text += "Please check in the file:\n";
+    }
     for check in &proposal.checks {
         text += &format!("  - {check}\n");
     }

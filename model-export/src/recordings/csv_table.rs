@@ -1,7 +1,7 @@
 //! Streaming reader of numeric `.csv` and `.csv.gz` tables: cells, row lengths and the clock are validated.
 
 use std::collections::{BTreeSet, VecDeque};
-use std::io::{Read, Seek};
+use std::io::{Cursor, Read, Seek};
 use std::path::{Path, PathBuf};
 
 use crate::input::{
@@ -90,6 +90,11 @@ impl CsvReader {
         Ok(Self::new(path, BoundedReader::new(decoder, Some(compressed))))
     }
 
+    /// Reads a table from its text; `path` is that of its source.
+    pub fn from_text(path: &Path, text: Vec<u8>) -> Self {
+        Self::new(path, BoundedReader::new(Box::new(Cursor::new(text)), None))
+    }
+
     fn new(path: &Path, input: BoundedReader) -> Self {
         let reader = csv::ReaderBuilder::new()
             .has_headers(false)
@@ -168,7 +173,15 @@ impl CsvTable {
 
     /// Opens one file, decompressing it where its name ends in `.gz`.
     pub fn open_file(path: &Path) -> Result<Self, DataError> {
-        let mut reader = CsvReader::open(path)?;
+        Self::new(path, CsvReader::open(path)?)
+    }
+
+    /// Reads a table from its text; `path` is that of its source.
+    pub fn from_text(path: &Path, text: Vec<u8>) -> Result<Self, DataError> {
+        Self::new(path, CsvReader::from_text(path, text))
+    }
+
+    fn new(path: &Path, mut reader: CsvReader) -> Result<Self, DataError> {
         let mut record = csv::ByteRecord::new();
         if !reader.read(&mut record)? {
             return Err(ErrorKind::Empty.at(Location::file(path)));

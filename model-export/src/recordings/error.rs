@@ -120,6 +120,12 @@ pub enum ErrorKind {
         "the gzip stream ends too early or is damaged ({0}); copy the file again from where it was recorded"
     )]
     DamagedGzip(std::io::Error),
+    #[error(
+        "the MCAP file ends too early or is damaged ({0}); copy it again, or repair it with `mcap recover`"
+    )]
+    DamagedMcap(String),
+    #[error("its messages cannot be decoded: {reason}; leave this topic out, or convert the file")]
+    Undecodable { reason: String },
     #[error("is invalid: {0}; correct it there")]
     Toml(String),
     #[error("the key is missing; add {example}")]
@@ -213,7 +219,7 @@ pub enum ErrorKind {
     #[error("two rows have the same time, {time}, and different values; remove the wrong one")]
     DuplicateTime { time: f64 },
     #[error(
-        "the two clocks do not overlap: the board has {hall_from:.3} to {hall_to:.3} s, the reference {force_from:.3} to {force_to:.3} s; shift one t_us column so that both start from the same event"
+        "the two clocks do not overlap: the board has {hall_from:.3} to {hall_to:.3} s, the reference {force_from:.3} to {force_to:.3} s; shift one clock (offset_s in a mapping, or t_us) so that both start from the same event"
     )]
     NoOverlap { hall_from: f64, hall_to: f64, force_from: f64, force_to: f64 },
     #[error(

@@ -17,6 +17,7 @@ use crate::recordings::error::{DataError, ErrorKind, Location, Notice, closest_m
 use crate::recordings::mapping::{
     ATTITUDE_COLUMNS, Mapping, TableMapping, conversion_factor, euler_angles,
 };
+use crate::recordings::mcap::{self, Join, Undecodable};
 use crate::recordings::units::round_significant;
 
 /// Significant digits of imported values: exceeds the resolution of any sensor, avoids 0.30000000000000004.
@@ -78,11 +79,17 @@ fn import_one(
     folder: &Path,
     start: &mut CampaignStart,
 ) -> Result<(u64, u64, u64), DataError> {
-    let mut hall = SourceTable::open(&mapping.hall, CellRule::Number, mapping_path, source)?;
+    let (hall, force) = rayon::join(
+        || SourceTable::open(&mapping.hall, CellRule::Number, mapping_path, source),
+        || SourceTable::open(&mapping.force, CellRule::Optional, mapping_path, source),
+    );
+    let (mut hall, mut force) = (hall?, force?);
     let origin_us = hall.first_time_us()?;
-    let mut force = SourceTable::open(&mapping.force, CellRule::Optional, mapping_path, source)?;
-    let (hall_rows, _, last_us) = hall.write(&folder.join("hall.csv.gz"), origin_us)?;
-    let (force_rows, measured, _) = force.write(&folder.join("force.csv.gz"), origin_us)?;
+    let (hall, force) = rayon::join(
+        || hall.write(&folder.join("hall.csv.gz"), origin_us),
+        || force.write(&folder.join("force.csv.gz"), origin_us),
+    );
+    let ((hall_rows, _, last_us), (force_rows, measured, _)) = (hall?, force?);
     let start_us = if mapping.one_clock {
         origin_us - *start.first_us.get_or_insert(origin_us)
     } else {
@@ -110,6 +117,24 @@ struct SourceTable {
     attitude: Option<[usize; 4]>,
 }
 
+/// The table of a bag with the columns of a mapping.
+fn bag_table(mapping: &TableMapping, rule: CellRule, path: &Path) -> Result<CsvTable, DataError> {
+    let columns = mapping.columns.iter().map(|column| column.from.as_str());
+    let attitude = mapping.attitude.iter().flat_map(|attitude| attitude.columns());
+    let mut columns: Vec<&str> = columns.chain(attitude).collect();
+    columns.sort_unstable();
+    columns.dedup();
+    let clock = mapping.clock.from.as_str();
+    let is_wanted = |topic: &str| {
+        let is_of_topic =
+            |column: &str| column.strip_prefix(topic).is_some_and(|rest| rest.starts_with('.'));
+        columns.iter().chain([&clock]).any(|column| is_of_topic(column))
+    };
+    let topics = mcap::read_topics(path, is_wanted, Undecodable::Refuse)?;
+    let join = if rule == CellRule::Number { Join::Nearest } else { Join::Once };
+    CsvTable::from_text(path, mcap::join_topics(path, &topics, clock, &columns, join)?)
+}
+
 struct SourceColumn {
     index: usize,
     to: String,
@@ -128,7 +153,11 @@ impl SourceTable {
             Some(file) => source.join(file),
             None => source.to_path_buf(),
         };
-        let mut table = CsvTable::open_file(&path)?;
+        let mut table = if mcap::is_bag(&path) {
+            bag_table(mapping, rule, &path)?
+        } else {
+            CsvTable::open_file(&path)?
+        };
         let index = |name: &str| {
             table.header().iter().position(|column| column == name).ok_or_else(|| {
                 let columns = table.header().iter().map(String::as_str);

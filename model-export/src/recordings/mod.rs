@@ -13,6 +13,7 @@
 //! - [`campaign`]: all recordings of one gripper.
 //! - [`mapping`]: mapping files and attitude conversion for imports.
 //! - [`import`]: conversion of third-party tables to a campaign.
+//! - [`mcap`]: topics of MCAP files and ROS 2 bags as tables, and the writer of MCAP files.
 //! - [`guess`]: proposal of a mapping file from the names and values of a table.
 
 pub mod align;
@@ -24,6 +25,7 @@ pub mod error;
 pub mod guess;
 pub mod import;
 pub mod mapping;
+pub mod mcap;
 pub mod noise;
 mod readers;
 pub mod recording;

@@ -13,6 +13,7 @@ use firmware::fixed_point::Force;
 use firmware::protocol::messages::{HallRaw, Message};
 use firmware::protocol::serial::Packet;
 use firmware::sensors::hall::{HallReading, SENSORS};
+use mcap::McapOutput;
 use model_export::output::{StagingDir, check_vacant};
 use model_export::recordings::columns::COVARIATES;
 use model_export::recordings::description::RecordingDescription;
@@ -22,6 +23,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 mod coverage;
+mod mcap;
 
 /// Time in microseconds in which the connected sensors are determined.
 const LOOK_US: u64 = 200_000;
@@ -77,6 +79,7 @@ pub struct Recorder {
     flushed_us: u64,
     reference_us: u64,
     tally: RecordingCounts,
+    mcap: Option<McapOutput>,
 }
 
 impl Recorder {
@@ -106,7 +109,28 @@ impl Recorder {
             flushed_us: 0,
             reference_us: 0,
             tally: RecordingCounts::default(),
+            mcap: None,
         })
+    }
+
+    /// Writes an MCAP file alongside, with the board's estimates and the messages on its state.
+    ///
+    /// # Errors
+    /// The file exists.
+    pub fn with_mcap(self, path: &Path) -> Result<Self> {
+        if path.exists() {
+            bail!("{} exists; choose another file", path.display());
+        }
+        Ok(Self { mcap: Some(McapOutput::new(path)), ..self })
+    }
+
+    /// Adds a message on the state of the board to the MCAP file.
+    ///
+    /// # Errors
+    /// Writing failed.
+    pub fn take_message(&mut self, message: &Message) -> Result<()> {
+        let time_us = self.last_us;
+        self.mcap.as_mut().map_or(Ok(()), |mcap| mcap.message(time_us, message))
     }
 
     /// Adds a row; times increase.
@@ -153,7 +177,8 @@ impl Recorder {
             text += &format!(",{newtons:.4}");
         }
         let written = tables.force.line(&text);
-        self.or_cut(written)
+        self.or_cut(written)?;
+        self.mcap.as_mut().map_or(Ok(()), |mcap| mcap.reference(time_us, force_n))
     }
 
     /// Writes the buffered rows except the last.
@@ -186,6 +211,7 @@ impl Recorder {
             });
             self.or_cut(finished)?;
         }
+        self.mcap.map_or(Ok(()), McapOutput::finish)?;
         self.tally.span_us = self.last_us;
         Ok(self.tally)
     }
@@ -238,6 +264,14 @@ impl Recorder {
         )
         .with_context(unwritable)?;
         self.tables = Some(tables);
+        if let Some(mcap) = &mut self.mcap {
+            let numbers = || sensors.iter().map(|sensor| *sensor as u32);
+            let covariates = self.tally.covariates.iter().map(|name| (*name).to_owned());
+            let hall: Vec<String> = numbers().flat_map(sensor_columns).chain(covariates).collect();
+            let force = self.reference.clone();
+            let force = force.unwrap_or_else(|| force_columns(numbers()).split_off(1));
+            mcap.begin(&self.description, &hall, &force, &sensors)?;
+        }
         self.tally.sensors = sensors;
         self.covariates = covariates;
         for row in std::mem::take(&mut self.waiting) {
@@ -253,12 +287,16 @@ impl Recorder {
             return Ok(());
         };
         let mut text = row.time_us.to_string();
+        let mut numbers = Vec::new();
         let mut whole = true;
         for &sensor in &self.tally.sensors {
             match row.readings.get(sensor).copied().flatten() {
                 Some(reading) => {
                     let [x, y, z] = reading.field;
-                    text += &format!(",{x},{y},{z},{}", degrees(reading.temperature));
+                    let degrees = degrees(reading.temperature);
+                    text += &format!(",{x},{y},{z},{degrees}");
+                    numbers.extend([x, y, z].map(f64::from));
+                    numbers.push(degrees);
                 }
                 None => {
                     whole = false;
@@ -280,6 +318,7 @@ impl Recorder {
                 return Ok(());
             };
             text += &format!(",{value:.COVARIATE_DECIMALS$}");
+            numbers.push(value);
         }
         self.tally.rows += 1;
         let mut written = tables.hall.line(&text);
@@ -288,7 +327,9 @@ impl Recorder {
             let empty = ",".repeat(2 * self.tally.sensors.len());
             written = written.and_then(|()| tables.force.line(&format!("{}{empty}", row.time_us)));
         }
-        self.or_cut(written)
+        self.or_cut(written)?;
+        let mcap = self.mcap.as_mut();
+        mcap.map_or(Ok(()), |mcap| mcap.row(row.time_us, &numbers, &row.force_n))
     }
 
     /// Removes a partial line after a failed write.

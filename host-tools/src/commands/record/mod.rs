@@ -12,6 +12,7 @@ use std::time::{Duration, Instant, SystemTime};
 use anyhow::{Result, anyhow, bail};
 use firmware::config::constants;
 use firmware::parameters::schema::id;
+use firmware::protocol::serial::Packet;
 use indicatif::ProgressBar;
 use model_export::fit::FitOptions;
 use model_export::input::MAX_START_S;
@@ -53,6 +54,7 @@ Examples:
   cargo magpie record --port /dev/ttyACM0 --reference /dev/ttyUSB0 --reference-map load-cell.toml -o bench/3
   cargo magpie record --port /dev/ttyACM0 --plan plan.toml -o bench/4      # the recording of diagnose --plan
   cargo magpie record --virtual -o rehearsal/1 --seconds 10 --check    # without hardware
+  cargo magpie record --port /dev/ttyACM0 -o bench/5 --mcap bench-5.mcap    # also for Foxglove
 
 Ctrl-C ends the recording. A killed process leaves a valid recording up to the last second. A serial line
 carries every tick with the covariates that the board has, a CAN bus at most every second one without them (--rate).
@@ -104,6 +106,9 @@ pub struct Args {
     /// Show the covered ranges, and at the end the effects on which the recording can decide.
     #[arg(long)]
     check: bool,
+    /// Also write an MCAP file for Foxglove and others: readings, covariates, reference, the board's estimates and its state.
+    #[arg(long, value_name = "FILE")]
+    mcap: Option<PathBuf>,
     /// Print one JSON object on stdout and nothing else.
     #[arg(long)]
     json: bool,
@@ -143,7 +148,10 @@ pub fn run(args: &Args) -> Result<()> {
         let pole_pairs = params_client::read(source.as_mut(), id::POLE_PAIRS)?;
         design.more.insert("motor_pole_pairs".to_owned(), i64::from(pole_pairs).into());
     }
-    let recorder = Recorder::new(&args.output, description, rows.period_us(), columns)?;
+    let mut recorder = Recorder::new(&args.output, description, rows.period_us(), columns)?;
+    if let Some(path) = &args.mcap {
+        recorder = recorder.with_mcap(path)?;
+    }
     let credentials = args.gripper.credentials()?;
     let previous = enable_readings(source.as_mut(), args, credentials)?;
     let hearing = SourceReader::start(source);
@@ -385,6 +393,9 @@ fn write_rows(
             Ok(ReaderEvent::Packets { at_s, packets, .. }) => {
                 let mut restarted = false;
                 for packet in &packets {
+                    if let Packet::Message { message, .. } = packet {
+                        recorder.take_message(message)?;
+                    }
                     match rows.take(at_s, packet) {
                         Ok(None) => {}
                         Ok(Some(row)) if !recorded.is_ready(at_s, &row) => {}

@@ -10,11 +10,14 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use crate::recordings::columns::{Axis, COVARIATES, hall_column};
+use crate::recordings::description::parse_toml;
 use crate::recordings::error::{DataError, ErrorKind, Location};
 use crate::recordings::guess::names::{Group, Quantity};
 use crate::recordings::guess::source::{
     MAX_ROWS, SourceColumn, SourceTable, axis_of, column_groups, numeric, read_source, table_with,
 };
+use crate::recordings::mapping::{Mapping, TableMapping};
+use crate::recordings::mcap;
 use crate::recordings::units::{find_unit, round_significant};
 
 /// Plausible maximum magnitudes of a field in gauss and of a force in newtons; beyond, the unit is probably another.
@@ -56,6 +59,11 @@ pub struct ProposedColumn {
 /// # Errors
 /// A source cannot be read, has no field, or has other columns than the first.
 pub fn propose(sources: &[PathBuf]) -> Result<Proposal, DataError> {
+    if let Some(first) = sources.first().filter(|first| mcap::is_bag(first))
+        && let Some(text) = mcap::stated_mapping(first)?
+    {
+        return stated(first, text);
+    }
     let mut recordings = Vec::new();
     for source in sources {
         recordings.push(read_source(source)?);
@@ -91,6 +99,13 @@ pub fn propose(sources: &[PathBuf]) -> Result<Proposal, DataError> {
     let hall_clock = draft.clock(hall, &["sensor", "hall", "mag", "board", "mcu", "device"])?;
     let force_clock =
         draft.clock(force, &["force", "state", "ref", "scale", "ft", "load", "robot"])?;
+    let offset_s = clock_offset_s((hall, &hall_clock), (force, &force_clock));
+    if let Some(offset_s) = offset_s {
+        draft.check(format!(
+            "the two clocks do not overlap: taken to begin at the same instant, offset_s = {offset_s}; a fit tells the rest of the \
+             delay"
+        ));
+    }
     draft.unused(&[hall, force], &[&hall_clock, &force_clock], attitude.is_some());
     let one_clock = runs_on(hall, &hall_clock, others);
     if one_clock {
@@ -99,18 +114,39 @@ pub fn propose(sources: &[PathBuf]) -> Result<Proposal, DataError> {
     let (hall_columns, force_columns) = draft.columns.split_at(hall_end);
     let mut text = head(first, &draft, one_clock);
     let is_folder = hall.is_in_folder;
-    write_table(&mut text, "hall", hall, is_folder, &hall_clock, hall_columns);
+    write_table(&mut text, "hall", hall, is_folder, (&hall_clock, None), hall_columns);
     if let Some([w, x, y, z]) = attitude {
         let [w, x, y, z] = [w, x, y, z].map(quoted);
         let _ = writeln!(text, "attitude = {{ w = {w}, x = {x}, y = {y}, z = {z} }}");
     }
-    write_table(&mut text, "force", force, is_folder, &force_clock, force_columns);
+    write_table(&mut text, "force", force, is_folder, (&force_clock, offset_s), force_columns);
     text.push_str(DESIGN);
     for (name, reason) in &draft.ignored {
         let _ = writeln!(text, "# Not imported: {} ({reason})", quoted(name));
     }
     let checks = draft.checks();
     Ok(Proposal { text, columns: draft.columns, checks, ignored: draft.ignored })
+}
+
+/// The mapping that a file states of itself: nothing is to be checked.
+fn stated(path: &Path, text: String) -> Result<Proposal, DataError> {
+    let mapping: Mapping = parse_toml(path, &text)?;
+    let of_table = |table: &TableMapping| table.columns.clone();
+    let all = of_table(&mapping.hall).into_iter().chain(of_table(&mapping.force));
+    let columns = all.filter_map(|column| {
+        let unit = find_unit(&column.unit)?.name;
+        let range = (f64::NAN, f64::NAN);
+        Some(ProposedColumn {
+            from: column.from,
+            unit,
+            to: column.to,
+            range,
+            missing: None,
+            check: None,
+        })
+    });
+    let columns = columns.collect();
+    Ok(Proposal { text, columns, checks: Vec::new(), ignored: Vec::new() })
 }
 
 /// The nominal design as a comment.
@@ -176,6 +212,21 @@ fn check_equal_columns(
         )
     };
     Err(ErrorKind::bad_value("a table with other columns", advice).at(Location::file(path)))
+}
+
+/// What to add to the clock of the forces, in seconds, where the two clocks do not overlap: they have different origins.
+fn clock_offset_s(
+    (hall, hall_clock): (&SourceTable, &ClockColumn),
+    (force, force_clock): (&SourceTable, &ClockColumn),
+) -> Option<f64> {
+    let span_s = |table: &SourceTable, clock: &ClockColumn| {
+        let column = table.columns.iter().find(|column| column.name == clock.name)?;
+        let factor = 1e-6 * find_unit(clock.unit)?.factor;
+        Some((column.first * factor, column.last * factor))
+    };
+    let (hall_s, force_s) = (span_s(hall, hall_clock)?, span_s(force, force_clock)?);
+    let do_overlap = hall_s.0 <= force_s.1 && force_s.0 <= hall_s.1;
+    (!do_overlap).then(|| ((hall_s.0 - force_s.0) * 1e6).round() / 1e6)
 }
 
 /// True if the clock of every further source begins after the end of the one before.
@@ -627,7 +678,7 @@ fn write_table(
     key: &str,
     table: &SourceTable,
     is_folder: bool,
-    clock: &ClockColumn,
+    (clock, offset_s): (&ClockColumn, Option<f64>),
     columns: &[ProposedColumn],
 ) {
     let _ = writeln!(text, "\n[{key}]");
@@ -639,9 +690,10 @@ fn write_table(
         clock.check.as_ref().map_or_else(String::new, |check| format!("  # check: {check}"));
     let _ = writeln!(
         text,
-        "clock = {{ from = {}, unit = \"{}\" }}{check}",
+        "clock = {{ from = {}, unit = \"{}\"{} }}{check}",
         quoted(&clock.name),
-        clock.unit
+        clock.unit,
+        offset_s.map_or_else(String::new, |offset_s| format!(", offset_s = {offset_s:?}")),
     );
     text.push_str("columns = [\n");
     for column in columns {

@@ -24,7 +24,7 @@ pub enum Quantity {
 
 impl Quantity {
     /// Quantity of values in this unit.
-    fn of_unit(unit: Unit) -> Self {
+    pub fn of_unit(unit: Unit) -> Self {
         match unit.canonical {
             "us" => Self::Time,
             "gauss" | "lsb" => Self::Field,
@@ -135,6 +135,8 @@ fn unit_named(stem: &str, text: &str) -> Option<Unit> {
     let is_other = match quantity {
         Quantity::Unknown => !matches!(symbol.as_str(), "m" | "s" | "A" | "N" | "T" | "G"),
         Quantity::Unsupported => false,
+        // `T1_C`: not a time, but a temperature.
+        Quantity::Time if unit.canonical == "c" => false,
         known => !known.accepts(unit),
     };
     (!(is_letter && is_other)).then_some(unit)

@@ -6,6 +6,8 @@ use crate::recordings::columns::Axis;
 use crate::recordings::csv_table::{CsvReader, CsvTable, number};
 use crate::recordings::error::{DataError, ErrorKind, Location};
 use crate::recordings::guess::names::{ColumnName, Group, Quantity};
+use crate::recordings::mcap::{self, Join, Topic, Undecodable};
+use crate::recordings::units::find_unit;
 
 /// Rows of each table that are examined.
 pub const MAX_ROWS: u64 = 100_000;
@@ -49,6 +51,9 @@ pub struct SourceTable {
 
 /// Tables of a file, or of a folder.
 pub fn read_source(source: &Path) -> Result<Vec<SourceTable>, DataError> {
+    if mcap::is_bag(source) {
+        return read_bag(source);
+    }
     if !source.is_dir() {
         return Ok(vec![read_table(source, false)?]);
     }
@@ -71,9 +76,74 @@ pub fn read_source(source: &Path) -> Result<Vec<SourceTable>, DataError> {
     paths.iter().map(|path| read_table(path, true)).collect()
 }
 
+/// Tables of a bag: of the topics with a force, and of the others. Each has the clock of the topic with the most messages.
+fn read_bag(path: &Path) -> Result<Vec<SourceTable>, DataError> {
+    let topics = mcap::read_topics(path, |_| true, Undecodable::Skip)?;
+    let has = |topic: &Topic, quantity: Quantity| {
+        let mut names = topic.columns.iter().map(|column| topic.column_name(&column.path));
+        names.any(|name| ColumnName::of(&name).quantity == quantity)
+    };
+    let (force, other): (Vec<Topic>, Vec<Topic>) =
+        topics.into_iter().partition(|topic| has(topic, Quantity::Force));
+    let mut tables = Vec::new();
+    for (topics, quantity, join) in
+        [(other, Quantity::Field, Join::Nearest), (force, Quantity::Force, Join::Once)]
+    {
+        let of_quantity = topics.iter().filter(|topic| has(topic, quantity));
+        let Some(first) = of_quantity.rev().max_by_key(|topic| topic.messages()) else {
+            continue;
+        };
+        let is_stamped = topics.iter().all(|topic| topic.clock() == first.clock());
+        let clock = if is_stamped { first.clock() } else { mcap::LOG_TIME };
+        let is_time = |path: &str| {
+            path == mcap::LOG_TIME || path == "publish_time" || path.ends_with("stamp")
+        };
+        let fields = topics.iter().flat_map(|topic| {
+            let wanted = topic
+                .columns
+                .iter()
+                .filter(|column| !is_time(&column.path) && !column.path.contains("covariance"));
+            wanted.map(|column| (topic.column_name(&column.path), topic.unit(&column.path)))
+        });
+        let fields: Vec<(String, Option<String>)> = fields.collect();
+        let names: Vec<&str> = fields.iter().map(|(name, _)| name.as_str()).collect();
+        let clock_name = first.column_name(clock);
+        let text = mcap::join_topics(path, &topics, &clock_name, &names, join)?;
+        let header = CsvTable::from_text(path, text.clone())?.header().to_vec();
+        let mut table = read_rows(path, false, header, CsvReader::from_text(path, text))?;
+        for column in &mut table.columns {
+            let unit = if column.name == clock_name {
+                Some("ns")
+            } else {
+                let field = fields.iter().find(|(name, _)| *name == column.name);
+                field.and_then(|(_, unit)| unit.as_deref())
+            };
+            if let Some(unit) = unit.and_then(find_unit) {
+                column.stated.unit = Some(unit);
+                column.quantity = Quantity::of_unit(unit);
+            }
+        }
+        tables.push(table);
+    }
+    if tables.is_empty() {
+        let advice = "import the tables of its topics as CSV, or write the mapping yourself (`cargo magpie import --help`)";
+        return Err(ErrorKind::bad_value("a bag without numbers that were recognised", advice)
+            .at(Location::file(path)));
+    }
+    Ok(tables)
+}
+
 fn read_table(path: &Path, is_in_folder: bool) -> Result<SourceTable, DataError> {
     let header = CsvTable::open_file(path)?.header().to_vec();
-    let mut reader = CsvReader::open(path)?;
+    read_rows(path, is_in_folder, header, CsvReader::open(path)?)
+}
+
+fn read_rows(
+    path: &Path,
+    is_in_folder: bool,
+    header: Vec<String>,
+    mut reader: CsvReader,
+) -> Result<SourceTable, DataError> {
     let mut record = csv::ByteRecord::new();
     reader.read(&mut record)?;
     let mut columns: Vec<SourceColumn> = header.into_iter().map(SourceColumn::new).collect();

@@ -1,0 +1,393 @@
+//! MCAP files, the format of ROS 2 bags and of Foxglove: their topics as tables with one row per message, and the writer of
+//! recordings.
+//!
+//! A column is a number of a message: the topic, a point and the path of the field, `/hall/s0.magnetic_field.x` or
+//! `/joint_states.position[0]`. Each topic also has the columns `log_time` and `publish_time`; these and the times in
+//! messages (`header.stamp`) are in nanoseconds.
+
+mod decode;
+mod recording;
+mod writer;
+
+use std::collections::hash_map::{Entry, HashMap};
+use std::io::BufReader;
+use std::path::{Path, PathBuf};
+
+use mcap::io::MessageReader;
+use mcap::sans_io::LinearReaderOptions;
+
+use crate::input::{self, check_recording_values};
+use crate::recordings::csv_table::GAP_STEPS;
+use crate::recordings::error::{DataError, ErrorKind, Location, closest_match};
+use decode::Decoder;
+pub use recording::{EstimatedForce, RecordingMcap, StateTopic};
+use writer::{MAPPING_KEY, UNITS_KEY};
+
+/// Longest record of a file; recorders write chunks of about 1 MB.
+const MAX_RECORD_BYTES: usize = 256 << 20;
+
+/// Column of the time at which the recorder received a message.
+pub const LOG_TIME: &str = "log_time";
+/// Column of the time at which a message was sent.
+const PUBLISH_TIME: &str = "publish_time";
+/// Column of the time at which the values of a ROS message were measured.
+const HEADER_STAMP: &str = "header.stamp";
+
+/// Messages of one topic.
+#[derive(Clone, Debug, Default)]
+pub struct Topic {
+    /// Name.
+    pub name: String,
+    /// Name of the message type, such as `sensor_msgs/msg/MagneticField`; empty without a schema.
+    pub schema: String,
+    /// Metadata of the channel.
+    pub metadata: std::collections::BTreeMap<String, String>,
+    /// Numbers by message.
+    pub columns: Vec<TopicColumn>,
+}
+
+/// One number of all messages of a topic.
+#[derive(Clone, Debug)]
+pub struct TopicColumn {
+    /// Path of the field.
+    pub path: String,
+    /// Values; NaN in messages without it.
+    pub values: Vec<f64>,
+}
+
+impl Topic {
+    /// Number of messages.
+    pub fn messages(&self) -> usize {
+        self.columns.first().map_or(0, |column| column.values.len())
+    }
+
+    /// Values of a field.
+    pub fn values(&self, path: &str) -> Option<&[f64]> {
+        let column = self.columns.iter().find(|column| column.path == path)?;
+        Some(&column.values)
+    }
+
+    /// Best clock of its messages: the time of the measurement where it is stated.
+    pub fn clock(&self) -> &'static str {
+        if self.values(HEADER_STAMP).is_some() { HEADER_STAMP } else { LOG_TIME }
+    }
+
+    /// Name of a column.
+    pub fn column_name(&self, path: &str) -> String {
+        format!("{}.{path}", self.name)
+    }
+
+    /// Unit of a field of a message type with a convention (REP 103), or as the channel states it.
+    pub fn unit(&self, path: &str) -> Option<String> {
+        if path == LOG_TIME || path == PUBLISH_TIME || path == HEADER_STAMP {
+            return Some("ns".to_owned());
+        }
+        if let Some(units) = self.metadata.get(UNITS_KEY) {
+            let mut pairs = units.split(',').filter_map(|pair| pair.split_once('='));
+            return pairs.find(|(name, _)| *name == path).map(|(_, unit)| unit.to_owned());
+        }
+        let last = self.schema.rsplit(['/', '.']).next().unwrap_or_default();
+        let unit = match last {
+            "MagneticField" if path.starts_with("magnetic_field.") => "T",
+            "WrenchStamped" | "Wrench" if path.contains("force.") => "N",
+            "Temperature" if path == "temperature" => "degC",
+            "Imu" if path.starts_with("linear_acceleration.") => "m/s2",
+            _ => return None,
+        };
+        Some(unit.to_owned())
+    }
+
+    fn push(&mut self, path: &str, row: usize, next: &mut usize, value: f64) {
+        // Consecutive messages have the same fields in the same order.
+        let index = match self.columns.get(*next) {
+            Some(column) if column.path == path => *next,
+            _ => match self.columns.iter().position(|column| column.path == path) {
+                Some(index) => index,
+                None => {
+                    self.columns
+                        .push(TopicColumn { path: path.to_owned(), values: vec![f64::NAN; row] });
+                    self.columns.len() - 1
+                }
+            },
+        };
+        *next = index + 1;
+        let values = &mut self.columns[index].values;
+        values.resize(row, f64::NAN);
+        values.push(value);
+    }
+}
+
+/// Whether a path is a bag: an MCAP file, or the folder of a ROS 2 bag.
+pub fn is_bag(path: &Path) -> bool {
+    let is_named =
+        |name: &str| path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case(name));
+    is_named("mcap") || is_named("db3") || (path.is_dir() && path.join("metadata.yaml").is_file())
+}
+
+/// The files of a bag in their order.
+fn files(path: &Path) -> Result<Vec<PathBuf>, DataError> {
+    let is_sqlite = |path: &Path| path.extension().is_some_and(|extension| extension == "db3");
+    let sqlite = |path: &Path| {
+        let advice = "convert it with `ros2 bag convert`, or with `rosbags-convert --src FOLDER --dst NEW --dst-storage mcap`";
+        ErrorKind::bad_value("a bag in SQLite", advice).at(Location::file(path))
+    };
+    if !path.is_dir() {
+        return if is_sqlite(path) { Err(sqlite(path)) } else { Ok(vec![path.to_path_buf()]) };
+    }
+    let unreadable = |error| ErrorKind::Unreadable(error).at(Location::file(path));
+    let entries: Result<Vec<PathBuf>, _> = std::fs::read_dir(path)
+        .map_err(unreadable)?
+        .map(|entry| entry.map(|entry| entry.path()))
+        .collect();
+    let mut files = entries.map_err(unreadable)?;
+    if let Some(file) = files.iter().find(|file| is_sqlite(file)) {
+        return Err(sqlite(file));
+    }
+    files.retain(|file| file.extension().is_some_and(|extension| extension == "mcap"));
+    if files.is_empty() {
+        let advice =
+            "give a folder with .mcap files; compressed ones are decompressed with `zstd -d`";
+        return Err(
+            ErrorKind::bad_value("a bag without .mcap files", advice).at(Location::file(path))
+        );
+    }
+    // Parts of a bag are numbered: bag_9.mcap comes before bag_10.mcap.
+    files.sort_by_key(|file| (file.as_os_str().len(), file.clone()));
+    Ok(files)
+}
+
+/// How to treat messages that cannot be decoded.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Undecodable {
+    /// An error.
+    Refuse,
+    /// The topic is left out.
+    Skip,
+}
+
+/// Reads the wanted topics of a bag.
+///
+/// # Errors
+/// The bag cannot be read, is damaged, or has too many values; a wanted message cannot be decoded.
+pub fn read_topics(
+    path: &Path,
+    is_wanted: impl Fn(&str) -> bool,
+    undecodable: Undecodable,
+) -> Result<Vec<Topic>, DataError> {
+    let mut topics: Vec<Topic> = Vec::new();
+    let mut values = 0;
+    for file in files(path)? {
+        // Decoder and topic by channel.
+        let mut channels: HashMap<u16, Option<(Decoder, usize)>> = HashMap::new();
+        let options = LinearReaderOptions::default()
+            .with_validate_chunk_crcs(true)
+            .with_record_length_limit(MAX_RECORD_BYTES);
+        let damaged = |error: mcap::McapError| {
+            ErrorKind::DamagedMcap(error.to_string()).at(Location::file(&file))
+        };
+        let reader = BufReader::new(input::open(&file)?);
+        for message in MessageReader::new_with_options(reader, options) {
+            let message = message.map_err(damaged)?;
+            let channel = &message.channel;
+            let failed = |reason: String| {
+                ErrorKind::Undecodable { reason }
+                    .at(Location::file(&file).column(channel.topic.as_str()))
+            };
+            let known = match channels.entry(channel.id) {
+                Entry::Occupied(known) => known.into_mut(),
+                Entry::Vacant(vacant) => vacant.insert(match Decoder::new(channel) {
+                    _ if !is_wanted(&channel.topic) => None,
+                    Ok(decoder) => Some((decoder, topic_index(&mut topics, channel))),
+                    Err(_) if undecodable == Undecodable::Skip => None,
+                    Err(reason) => return Err(failed(reason)),
+                }),
+            };
+            let Some((decoder, index)) = known else {
+                continue;
+            };
+            let topic = &mut topics[*index];
+            let row = topic.messages();
+            let mut next = 0;
+            topic.push(LOG_TIME, row, &mut next, message.log_time as f64);
+            topic.push(PUBLISH_TIME, row, &mut next, message.publish_time as f64);
+            decoder
+                .numbers(&message.data, &mut |path, value| topic.push(path, row, &mut next, value))
+                .map_err(failed)?;
+            values += topic.columns.len();
+            check_recording_values(values, 1).map_err(|kind| kind.at(Location::file(&file)))?;
+        }
+    }
+    for topic in &mut topics {
+        let rows = topic.messages();
+        topic.columns.iter_mut().for_each(|column| column.values.resize(rows, f64::NAN));
+    }
+    Ok(topics)
+}
+
+/// The mapping with which `import` reads a file of this project; `None` for files of others.
+///
+/// # Errors
+/// The file cannot be read, or is damaged before its first message.
+pub fn stated_mapping(path: &Path) -> Result<Option<String>, DataError> {
+    let Some(file) = files(path)?.into_iter().next() else {
+        return Ok(None);
+    };
+    let options = LinearReaderOptions::default().with_record_length_limit(MAX_RECORD_BYTES);
+    let reader = BufReader::new(input::open(&file)?);
+    // The writer of this project begins with a message of the topic that states it.
+    let mut messages = MessageReader::new_with_options(reader, options);
+    let first = messages
+        .next()
+        .transpose()
+        .map_err(|error| ErrorKind::DamagedMcap(error.to_string()).at(Location::file(&file)))?;
+    Ok(first.and_then(|message| message.channel.metadata.get(MAPPING_KEY).cloned()))
+}
+
+fn topic_index(topics: &mut Vec<Topic>, channel: &mcap::Channel<'_>) -> usize {
+    topics.iter().position(|topic| topic.name == channel.topic).unwrap_or_else(|| {
+        topics.push(Topic {
+            name: channel.topic.clone(),
+            schema: channel.schema.as_ref().map_or_else(String::new, |schema| schema.name.clone()),
+            metadata: channel.metadata.clone(),
+            columns: Vec::new(),
+        });
+        topics.len() - 1
+    })
+}
+
+/// What a row of a table needs of the topics besides that of its clock.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Join {
+    /// The message nearest in time, in every row: for a board's readings and covariates.
+    Nearest,
+    /// Each message in the row nearest in time, and no value in the others: for a reference that is interpolated.
+    Once,
+}
+
+/// A table of topics as CSV text: a row for each message of the clock's topic, in the order of their times, with the columns
+/// `clock` and `columns`.
+///
+/// # Errors
+/// A column is not in the bag, or its topic lacks the clock.
+pub fn join_topics(
+    path: &Path,
+    topics: &[Topic],
+    clock: &str,
+    columns: &[&str],
+    join: Join,
+) -> Result<Vec<u8>, DataError> {
+    let (clock_topic, clock_path) = find(path, topics, clock)?;
+    let clock_ns = clock_topic.values(clock_path).unwrap_or_default();
+    let order = ascending(clock_ns);
+    let row_ns: Vec<f64> = order.iter().map(|row| clock_ns[*row]).collect();
+    let mut names = vec![clock];
+    let mut joined = vec![row_ns.clone()];
+    for column in columns.iter().filter(|column| **column != clock) {
+        let (topic, field) = find(path, topics, column)?;
+        let values = topic.values(field).unwrap_or_default();
+        names.push(column);
+        if std::ptr::eq(topic, clock_topic) {
+            joined.push(order.iter().map(|row| values[*row]).collect());
+            continue;
+        }
+        let Some(time_ns) = topic.values(clock_path) else {
+            let advice = format!(
+                "{} has no {clock_path}: take {} as the clock, which every topic has",
+                topic.name,
+                clock_topic.column_name(LOG_TIME)
+            );
+            return Err(ErrorKind::MissingColumn { advice }
+                .at(Location::file(path).column(topic.column_name(clock_path))));
+        };
+        let own_order = ascending(time_ns);
+        let sorted = |of: &[f64]| own_order.iter().map(|row| of[*row]).collect::<Vec<f64>>();
+        let (time_ns, values) = (sorted(time_ns), sorted(values));
+        joined.push(match join {
+            Join::Nearest => nearest(&row_ns, &time_ns, &values),
+            Join::Once => once(&row_ns, &time_ns, &values),
+        });
+    }
+    let mut out = csv::Writer::from_writer(Vec::new());
+    let unwritable = |error: csv::Error| {
+        ErrorKind::Unwritable(std::io::Error::other(error)).at(Location::file(path))
+    };
+    out.write_record(&names).map_err(unwritable)?;
+    for row in 0..row_ns.len() {
+        let cells = joined.iter().map(|values| match values[row] {
+            value if value.is_nan() => String::new(),
+            value => value.to_string(),
+        });
+        out.write_record(cells).map_err(unwritable)?;
+    }
+    out.into_inner()
+        .map_err(|error| ErrorKind::Unwritable(error.into_error()).at(Location::file(path)))
+}
+
+/// Topic and field of a column.
+fn find<'a, 'c>(
+    path: &Path,
+    topics: &'a [Topic],
+    column: &'c str,
+) -> Result<(&'a Topic, &'c str), DataError> {
+    let of = |topic: &'a Topic| {
+        let field = column.strip_prefix(&topic.name)?.strip_prefix('.')?;
+        topic.values(field).map(|_| (topic, field))
+    };
+    topics.iter().find_map(of).ok_or_else(|| {
+        let names: Vec<String> = topics
+            .iter()
+            .flat_map(|topic| topic.columns.iter().map(|column| topic.column_name(&column.path)))
+            .collect();
+        let advice = match closest_match(column, names.iter().map(String::as_str)) {
+            Some(near) => format!("did you mean {near}?"),
+            None if names.is_empty() => "no message of its topic is in this file; `cargo magpie import --guess` lists what is".to_owned(),
+            None => format!("the columns are {}", names.join(", ")),
+        };
+        ErrorKind::MissingColumn { advice }.at(Location::file(path).column(column))
+    })
+}
+
+/// Indices in the order of the values.
+fn ascending(values: &[f64]) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..values.len()).collect();
+    order.sort_by(|a, b| values[*a].total_cmp(&values[*b]));
+    order
+}
+
+/// Index of the time nearest to `time`, with `sorted` not empty.
+fn nearest_index(sorted: &[f64], time: f64) -> usize {
+    let after = sorted.partition_point(|own| *own < time);
+    let distance = |index: usize| sorted.get(index).map_or(f64::INFINITY, |own| (own - time).abs());
+    match after.checked_sub(1) {
+        Some(before) if distance(before) <= distance(after) => before,
+        _ => after.min(sorted.len().saturating_sub(1)),
+    }
+}
+
+/// The value nearest in time to each row; none where the topic has a gap there.
+fn nearest(rows: &[f64], times: &[f64], values: &[f64]) -> Vec<f64> {
+    let mut steps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    steps.sort_by(f64::total_cmp);
+    let period = |of: &[f64]| of.get(of.len() / 2).copied().unwrap_or(f64::INFINITY);
+    let reach = GAP_STEPS * period(&steps);
+    let value = |time: &f64| {
+        let index = nearest_index(times, *time);
+        let near = times.get(index).is_some_and(|own| (own - time).abs() <= reach);
+        if near { values[index] } else { f64::NAN }
+    };
+    rows.iter().map(value).collect()
+}
+
+/// Each value in the row nearest in time.
+fn once(rows: &[f64], times: &[f64], values: &[f64]) -> Vec<f64> {
+    let mut joined = vec![f64::NAN; rows.len()];
+    for (time, value) in times.iter().zip(values) {
+        if let Some(cell) = joined.get_mut(nearest_index(rows, *time)) {
+            *cell = *value;
+        }
+    }
+    joined
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,188 @@
+//! A recording as an MCAP file: the board's readings and covariates, the reference, and what the device estimates.
+
+use std::path::Path;
+
+use serde::Serialize;
+
+use crate::recordings::description::{NominalDesign, RecordingDescription};
+use crate::recordings::error::DataError;
+use crate::recordings::mcap::writer::{McapWriter, TopicId};
+use crate::recordings::units::{UNITS, column_unit};
+
+/// Topic of the board's rows, with the columns of `hall.csv`.
+const BOARD: &str = "/board";
+/// Topic of the reference's rows, with the columns of `force.csv`.
+const REFERENCE: &str = "/reference";
+/// Topic of the device's estimates.
+const ESTIMATE: &str = "/estimate";
+/// Prefix of the topics of the device's state.
+const STATE: &str = "/state";
+
+/// A topic of the device's state.
+#[derive(Clone, Debug)]
+pub struct StateTopic<'a> {
+    /// Name, without its prefix.
+    pub name: &'a str,
+    /// Names and units of its numbers.
+    pub signals: Vec<(&'a str, &'a str)>,
+}
+
+/// The device's estimate of the force on one sensor.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct EstimatedForce {
+    /// Lateral and longitudinal force in newtons; none where it is not valid.
+    pub force_n: Option<[f64; 2]>,
+    /// Their standard deviations by a network.
+    pub sigma_n: Option<[f64; 2]>,
+}
+
+/// Writer of one recording.
+pub struct RecordingMcap {
+    writer: McapWriter,
+    board: TopicId,
+    reference: TopicId,
+    estimate: TopicId,
+    state: Vec<TopicId>,
+    /// Start of the recording in the campaign.
+    start_us: f64,
+}
+
+impl RecordingMcap {
+    /// Creates the file. `hall` and `force` are the columns of the two tables without `t_us`, `sensors` those with an
+    /// estimate.
+    ///
+    /// # Errors
+    /// It exists or cannot be created.
+    pub fn create(
+        path: &Path,
+        description: &RecordingDescription,
+        hall: &[String],
+        force: &[String],
+        sensors: &[u32],
+        state: &[StateTopic],
+    ) -> Result<Self, DataError> {
+        let mut writer = McapWriter::create(path)?;
+        let mapping = mapping(description, hall, force);
+        let board = writer.add_topic(BOARD, "Board", &with_units(hall), Some(&mapping))?;
+        let reference = writer.add_topic(REFERENCE, "Reference", &with_units(force), None)?;
+        let of_sensor = |number: &u32| {
+            ["x_n", "z_n", "x_sigma_n", "z_sigma_n"].map(|part| format!("f{number}_{part}"))
+        };
+        let estimates: Vec<String> = sensors.iter().flat_map(of_sensor).collect();
+        let estimate = writer.add_topic(ESTIMATE, "Estimate", &with_units(&estimates), None)?;
+        let topic = |topic: &StateTopic| {
+            writer.add_topic(&format!("{STATE}/{}", topic.name), topic.name, &topic.signals, None)
+        };
+        let state = state.iter().map(topic).collect::<Result<_, _>>()?;
+        let start_us = 1e6 * description.start_s;
+        Ok(Self { writer, board, reference, estimate, state, start_us })
+    }
+
+    /// Writes a row of the board; times are those of the recording.
+    ///
+    /// # Errors
+    /// The file cannot be written; so for the other topics.
+    pub fn board(&mut self, time_us: f64, values: &[f64]) -> Result<(), DataError> {
+        self.writer.write(&mut self.board, self.start_us + time_us, values)
+    }
+
+    /// Writes a row of the reference; NaN for a force that was not measured.
+    pub fn reference(&mut self, time_us: f64, force_n: &[f64]) -> Result<(), DataError> {
+        self.writer.write(&mut self.reference, self.start_us + time_us, force_n)
+    }
+
+    /// Writes the estimates of the sensors of the file.
+    pub fn estimate(
+        &mut self,
+        time_us: f64,
+        estimates: impl Iterator<Item = EstimatedForce>,
+    ) -> Result<(), DataError> {
+        let values = estimates.flat_map(|estimate| {
+            let [x, z] = estimate.force_n.unwrap_or([f64::NAN; 2]);
+            let [sigma_x, sigma_z] = estimate.sigma_n.unwrap_or([f64::NAN; 2]);
+            [x, z, sigma_x, sigma_z]
+        });
+        let values: Vec<f64> = values.collect();
+        self.writer.write(&mut self.estimate, self.start_us + time_us, &values)
+    }
+
+    /// Writes a message of the state topic with this index.
+    pub fn state(&mut self, topic: usize, time_us: f64, values: &[f64]) -> Result<(), DataError> {
+        match self.state.get_mut(topic) {
+            Some(topic) => self.writer.write(topic, self.start_us + time_us, values),
+            None => Ok(()),
+        }
+    }
+
+    /// Completes the file.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn finish(self) -> Result<(), DataError> {
+        self.writer.finish()
+    }
+}
+
+/// Columns of a recording with the units that their names end in.
+fn with_units(columns: &[String]) -> Vec<(&str, &'static str)> {
+    let unit = |column: &str| {
+        let canonical = column_unit(column)?;
+        let unit = UNITS.iter().find(|unit| unit.canonical == canonical && unit.factor == 1.0);
+        unit.map(|unit| unit.name)
+    };
+    columns.iter().map(|column| (column.as_str(), unit(column).unwrap_or_default())).collect()
+}
+
+/// The mapping with which `import` reads the file.
+fn mapping(description: &RecordingDescription, hall: &[String], force: &[String]) -> String {
+    #[derive(Serialize)]
+    struct Clock {
+        from: String,
+        unit: &'static str,
+    }
+    #[derive(Serialize)]
+    struct Column {
+        from: String,
+        unit: &'static str,
+        to: String,
+    }
+    #[derive(Serialize)]
+    struct Table {
+        clock: Clock,
+        columns: Vec<Column>,
+    }
+    #[derive(Serialize)]
+    struct Stated<'a> {
+        description: &'a str,
+        one_clock: bool,
+        #[serde(skip_serializing_if = "Option::is_none")]
+        range_gauss: Option<f64>,
+        #[serde(skip_serializing_if = "Option::is_none")]
+        gauss_per_lsb: Option<f64>,
+        hall: Table,
+        force: Table,
+        #[serde(skip_serializing_if = "Option::is_none")]
+        design: Option<&'a NominalDesign>,
+    }
+    let table = |topic: &str, names: &[String]| {
+        let column = |(name, unit): (&str, &'static str)| Column {
+            from: format!("{topic}.{name}"),
+            unit,
+            to: name.to_owned(),
+        };
+        Table {
+            clock: Clock { from: format!("{topic}.log_time"), unit: "ns" },
+            columns: with_units(names).into_iter().map(column).collect(),
+        }
+    };
+    let stated = Stated {
+        description: &description.description,
+        one_clock: true,
+        range_gauss: description.range_gauss,
+        gauss_per_lsb: description.gauss_per_lsb,
+        hall: table(BOARD, hall),
+        force: table(REFERENCE, force),
+        design: description.design.as_ref(),
+    };
+    toml::to_string(&stated).unwrap_or_default()
+}

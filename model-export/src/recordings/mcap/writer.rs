@@ -1,0 +1,120 @@
+//! Writer of MCAP files: topics of numbers as ROS 2 messages of 64-bit floating-point fields, with the unit of each.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
+
+use mcap::records::MessageHeader;
+
+use crate::recordings::error::{DataError, ErrorKind, Location};
+
+/// Key of a channel's metadata: `name=unit` of each number, separated by commas.
+pub const UNITS_KEY: &str = "units";
+/// Key of a channel's metadata: the mapping with which `import` reads the file.
+pub const MAPPING_KEY: &str = "magpie.mapping";
+
+/// Header of a message in plain CDR, little-endian; its fields of 8 bytes need no padding.
+const CDR_LITTLE_ENDIAN: [u8; 4] = [0, 1, 0, 0];
+
+/// A topic of an [`McapWriter`].
+#[derive(Clone, Debug)]
+pub struct TopicId {
+    channel: u16,
+    sequence: u32,
+}
+
+/// A file being written.
+pub struct McapWriter {
+    path: PathBuf,
+    writer: mcap::Writer<BufWriter<File>>,
+}
+
+impl McapWriter {
+    /// Creates the file.
+    ///
+    /// # Errors
+    /// It exists or cannot be created.
+    pub fn create(path: &Path) -> Result<Self, DataError> {
+        let file = File::create_new(path)
+            .map_err(|error| ErrorKind::Unwritable(error).at(Location::file(path)))?;
+        let options = mcap::WriteOptions::new()
+            .profile("ros2")
+            .library(format!("magpie {}", env!("CARGO_PKG_VERSION")))
+            .compression(Some(mcap::Compression::Zstd));
+        let writer =
+            options.create(BufWriter::new(file)).map_err(|error| unwritable(path, error))?;
+        Ok(Self { path: path.to_path_buf(), writer })
+    }
+
+    /// Adds a topic of numbers with their names and units; `message` is the name of its type.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn add_topic(
+        &mut self,
+        topic: &str,
+        message: &str,
+        numbers: &[(&str, &str)],
+        mapping: Option<&str>,
+    ) -> Result<TopicId, DataError> {
+        let field = |(name, unit): &(&str, &str)| match *unit {
+            "" => format!("float64 {name}\n"),
+            unit => format!("float64 {name} # {unit}\n"),
+        };
+        let schema: String = numbers.iter().map(field).collect();
+        let failed = |error| unwritable(&self.path, error);
+        let schema = self
+            .writer
+            .add_schema(&format!("magpie_msgs/msg/{message}"), "ros2msg", schema.as_bytes())
+            .map_err(failed)?;
+        let units = numbers.iter().filter(|(_, unit)| !unit.is_empty());
+        let units = units.map(|(name, unit)| format!("{name}={unit}"));
+        let mut metadata =
+            BTreeMap::from([(UNITS_KEY.to_owned(), units.collect::<Vec<_>>().join(","))]);
+        metadata.extend(mapping.map(|mapping| (MAPPING_KEY.to_owned(), mapping.to_owned())));
+        let channel = self.writer.add_channel(schema, topic, "cdr", &metadata).map_err(failed)?;
+        Ok(TopicId { channel, sequence: 0 })
+    }
+
+    /// Writes a message with the numbers of its topic.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn write(
+        &mut self,
+        topic: &mut TopicId,
+        time_us: f64,
+        values: &[f64],
+    ) -> Result<(), DataError> {
+        let mut content = CDR_LITTLE_ENDIAN.to_vec();
+        content.extend(values.iter().flat_map(|value| value.to_le_bytes()));
+        let time_ns = (1e3 * time_us).round().max(0.0) as u64;
+        let header = MessageHeader {
+            channel_id: topic.channel,
+            sequence: topic.sequence,
+            log_time: time_ns,
+            publish_time: time_ns,
+        };
+        topic.sequence = topic.sequence.wrapping_add(1);
+        self.writer
+            .write_to_known_channel(&header, &content)
+            .map_err(|error| unwritable(&self.path, error))
+    }
+
+    /// Completes the file.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn finish(mut self) -> Result<(), DataError> {
+        self.writer.finish().map(drop).map_err(|error| unwritable(&self.path, error))
+    }
+}
+
+fn unwritable(path: &Path, error: mcap::McapError) -> DataError {
+    let error = match error {
+        mcap::McapError::Io(error) => error,
+        other => std::io::Error::other(other),
+    };
+    ErrorKind::Unwritable(error).at(Location::file(path))
+}
