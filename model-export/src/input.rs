@@ -203,6 +203,9 @@ pub struct BoundedReader {
     table_left: u64,
     /// Limit that `table_left` stands for.
     table_limit: TableLimit,
+    /// Whether the first line ends in a carriage return and a line feed; `None` before its end.
+    is_crlf: Option<bool>,
+    last: u8,
 }
 
 impl BoundedReader {
@@ -216,7 +219,22 @@ impl BoundedReader {
         } else {
             (MAX_TABLE_BYTES, TableLimit::Table)
         };
-        Self { inner, row_left: MAX_ROW_BYTES, table_left, table_limit }
+        Self { inner, row_left: MAX_ROW_BYTES, table_left, table_limit, is_crlf: None, last: 0 }
+    }
+
+    /// Whether lines end in a carriage return and a line feed, as far as they were read.
+    pub fn is_crlf(&self) -> bool {
+        self.is_crlf == Some(true)
+    }
+
+    fn note_line_end(&mut self, bytes: &[u8]) {
+        if self.is_crlf.is_none()
+            && let Some(end) = bytes.iter().position(|byte| *byte == b'\n')
+        {
+            let before = end.checked_sub(1).and_then(|place| bytes.get(place).copied());
+            self.is_crlf = Some(before.unwrap_or(self.last) == b'\r');
+        }
+        self.last = bytes.last().copied().unwrap_or(self.last);
     }
 
     /// Begins a row; up to `buffered` bytes may be read ahead.
@@ -240,6 +258,7 @@ impl Read for BoundedReader {
         let count = self.inner.read(&mut bytes[..length])?;
         self.row_left -= count as u64;
         self.table_left -= count as u64;
+        self.note_line_end(&bytes[..count]);
         Ok(count)
     }
 }

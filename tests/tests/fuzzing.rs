@@ -86,6 +86,12 @@ fn any_calibration_is_decoded_or_refused_without_a_panic() {
 }
 
 #[test]
+fn any_bag_is_a_table_or_an_error() {
+    let least = [("decoded", 0.2), ("refused", 0.2), ("joined", 2.0), ("numbers", 2.0)];
+    assert_reached((11, 1_000, 300), |input| fuzz::bag::read(input).counts(), least);
+}
+
+#[test]
 fn formulas_have_the_values_of_a_second_evaluator() {
     let least = [("accepted", 0.4), ("refused", 0.2), ("compared", 1.0), ("operators", 1.5)];
     assert_reached((8, 20_000, 200), |input| fuzz::formula::parse(input).counts(), least);

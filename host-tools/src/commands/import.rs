@@ -76,6 +76,10 @@ pub fn run(args: &Args) -> Result<()> {
                 mapping.display(),
                 hall_from - force_from
             )
+        } else if matches!(*error.kind, ErrorKind::EmptyCell)
+            && !error.location.file.starts_with(&args.output)
+        {
+            anyhow!("{error}; or leave the column out of {}", mapping.display())
         } else if error.location.file.starts_with(&args.output)
             && error.location.file != args.output
         {

@@ -108,7 +108,8 @@ impl CsvReader {
 
     /// Line of the next record.
     pub fn line(&self) -> u64 {
-        self.reader.position().line()
+        // The parser takes the line feed after a carriage return with the next record.
+        self.reader.position().line() + u64::from(self.reader.get_ref().is_crlf())
     }
 
     /// Reads the next record; false at the end.
@@ -296,7 +297,6 @@ impl CsvTable {
         if !self.reader.read(&mut self.record)? {
             return Ok(None);
         }
-        let line = self.record.position().map_or(line, csv::Position::line);
         if self.record.len() != self.header.len() {
             let kind =
                 ErrorKind::CellCount { found: self.record.len(), expected: self.header.len() };
@@ -460,4 +460,28 @@ pub(super) fn period_us(table: &mut CsvTable, time_column: usize) -> Result<f64,
 pub(super) fn missing_clock(table: &CsvTable) -> DataError {
     let advice = "every table needs its clock in microseconds: name that column t_us".to_owned();
     ErrorKind::MissingColumn { advice }.at(table.header_location("t_us"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn errors_have_the_line_of_the_file_whatever_ends_it() {
+        for end in ["\n", "\r\n"] {
+            for comments in [0, 2] {
+                let mut lines = vec!["# a logger"; comments];
+                lines.extend(["t_us,a", "0,1", "1,2", "2,x", "3,4"]);
+                let text = lines.join(end) + end;
+                let mut table = CsvTable::from_text(Path::new("a.csv"), text.into_bytes()).unwrap();
+                let error = loop {
+                    match table.next_row() {
+                        Ok(row) => assert!(row.is_some()),
+                        Err(error) => break error,
+                    }
+                };
+                assert_eq!(error.location.line, Some(4 + comments as u64), "{end:?}");
+            }
+        }
+    }
 }

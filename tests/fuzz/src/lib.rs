@@ -1,6 +1,7 @@
 //! What comes from outside, into the gripper's code: one function for each way in. Each takes any bytes,
 //! makes a story of them, and panics where the gripper breaks a promise.
 //!
+//! - [`bag`]: MCAP files, as ROS 2 bags are.
 //! - [`blob`]: encoded calibrations, to forces.
 //! - [`can`]: frames on the CAN bus, with their times.
 //! - [`serial`]: bytes on the serial line.
@@ -14,6 +15,7 @@
 //! - [`counters`]: how far the executions of a target get.
 //! - [`check`]: checksums and stuffing by their definitions, beside the tables of the gripper's libraries.
 
+pub mod bag;
 pub mod blob;
 pub mod bytes;
 pub mod can;

@@ -564,9 +564,13 @@ fn conclusion(comparison: &Comparison) -> String {
                 dependence(&lead.covariate, &lead.words)
             );
         }
+        let force = ForceError::of(&comparison.forces);
+        let no_effects = std::iter::empty::<&str>();
+        let excess = force.and_then(|force| force_error::larger_excess(&force, &[], no_effects));
         return format!(
-            "At the noise floor: {error}, the floor is {}. These recordings show no missing effect.",
-            field(floor)
+            "At the noise floor: {error}, the floor is {}. The field shows no missing effect.{}",
+            field(floor),
+            excess.unwrap_or_default()
         );
     }
     let located: f64 = chosen.iter().map(|l| l.share).sum();
