@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use analysis::notes::{Note, UncompensatedEffect};
 use analysis::progress;
-use anyhow::Result;
+use anyhow::{Result, bail};
 use model_export::inverse::build::{DeviceModel, ModelVariant, build};
 use model_export::inverse::codegen::{MARK, source_with_networks, tables_source};
 use model_export::output::{StagingDir, check_output, check_vacant, write_output};
@@ -38,7 +38,7 @@ pub struct Args {
     mcap: Option<PathBuf>,
     #[command(flatten)]
     align: AlignArgs,
-    /// Rust source file to write.
+    /// Rust source file to write; with --mcap, a folder that does not exist yet.
     #[arg(short, long, value_name = "PATH")]
     output: PathBuf,
     /// Recurrent networks to run after the model, written by `magpie train`.
@@ -61,6 +61,9 @@ pub fn run(args: &Args) -> Result<()> {
         return write_mcap(args, campaign);
     }
     let variant = if args.nominal { ModelVariant::Nominal } else { ModelVariant::Fitted };
+    if args.align.alignment()?.delay_us != 0.0 {
+        bail!("--delay-ms is of the recordings of --mcap; tables have no reference");
+    }
     check_output(&args.output, MARK)?;
     let built = build(&args.model, variant)?;
     if !args.uncompensated {

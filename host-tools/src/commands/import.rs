@@ -4,12 +4,12 @@ use std::path::PathBuf;
 
 use analysis::fit::import_notes;
 use analysis::notes::Note;
-use analysis::numbers;
 use analysis::progress;
 use anyhow::{Result, anyhow};
 use model_export::output::write_new;
 use model_export::recordings::align::Alignment;
 use model_export::recordings::error::ErrorKind;
+use model_export::recordings::units::round_significant;
 use model_export::recordings::{Campaign, DataError, guess, import};
 use serde_json::json;
 
@@ -72,7 +72,7 @@ pub fn run(args: &Args) -> Result<()> {
     let with_remedy = |error: DataError| {
         if let ErrorKind::NoOverlap { hall_from, force_from, .. } = *error.kind {
             anyhow!(
-                "{error}; in {}: where both began at the same instant, add offset_s = {:.3} to the clock of [force]",
+                "{error}; in {}: where both began at the same instant, increase offset_s of the clock of [force] by {:.3}",
                 mapping.display(),
                 hall_from - force_from
             )
@@ -160,6 +160,11 @@ pub fn run(args: &Args) -> Result<()> {
     Ok(())
 }
 
+/// End of a column's range; a dash where it is not known.
+fn range_end(value: f64) -> String {
+    if value.is_finite() { round_significant(value, 6).to_string() } else { "-".to_owned() }
+}
+
 /// Writes a proposed mapping.
 fn propose(args: &Args) -> Result<()> {
     let proposal = guess::propose(&args.guess)?;
@@ -188,8 +193,8 @@ fn propose(args: &Args) -> Result<()> {
         table.add_row([
             column.from.clone(),
             column.unit.to_owned(),
-            numbers::decimal_or_dash(min, 6),
-            numbers::decimal_or_dash(max, 6),
+            range_end(min),
+            range_end(max),
             column.to.clone(),
         ]);
     }

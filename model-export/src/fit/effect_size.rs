@@ -43,7 +43,7 @@ impl EffectSize {
     }
 }
 
-/// Whether a value with its standard error lies in a range, with a tolerance of two standard errors.
+/// Whether a value with its standard error is in a range, with a tolerance of two standard errors.
 fn within((value, std_error): (f64, f64), (low, high): (f64, f64)) -> bool {
     value + 2.0 * std_error >= low && value - 2.0 * std_error <= high
 }

@@ -4,7 +4,7 @@
 use std::path::Path;
 
 use nalgebra::{Quaternion, UnitQuaternion};
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use crate::input::{self, MAX_COLUMNS, MAX_START_S, plausible_range};
 use crate::recordings::columns::{force_column, hall_column};
@@ -13,7 +13,7 @@ use crate::recordings::error::{DataError, ErrorKind, Location, closest_match};
 use crate::recordings::units::{UNITS, column_unit, find_unit};
 
 /// Content of a mapping file.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Mapping {
     /// Description in every `recording.toml`.
@@ -23,13 +23,13 @@ pub struct Mapping {
     #[serde(default)]
     pub one_clock: bool,
     /// Range of the sensor in gauss, if known.
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub range_gauss: Option<f64>,
     /// Scale of columns imported as raw counts.
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub gauss_per_lsb: Option<f64>,
     /// Nominal design, if known, as in `recording.toml`.
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub design: Option<NominalDesign>,
     /// Mapping to `hall.csv`.
     pub hall: TableMapping,
@@ -38,23 +38,23 @@ pub struct Mapping {
 }
 
 /// Mapping of one table.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct TableMapping {
     /// File in the folder of the source; absent where the source is one file with both tables.
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub file: Option<String>,
     /// Clock of the table.
     pub clock: ClockMapping,
     /// Columns to import; may be empty for the forces of an unloaded sensor.
     pub columns: Vec<ColumnMapping>,
     /// Quaternion from body to world (`hall` only), converted to `roll_rad`, `pitch_rad` and `yaw_rad`.
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub attitude: Option<QuaternionColumns>,
 }
 
 /// Clock column of the source.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct ClockMapping {
     /// Column of the source.
@@ -67,7 +67,7 @@ pub struct ClockMapping {
 }
 
 /// Mapping of one column.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct ColumnMapping {
     /// Column of the source.
@@ -80,7 +80,7 @@ pub struct ColumnMapping {
     #[serde(default = "one")]
     pub scale: f64,
     /// Value of the source for missing measurements (forces only).
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub missing: Option<f64>,
 }
 
@@ -189,7 +189,7 @@ pub const ATTITUDE_COLUMNS: [&str; 3] = ["roll_rad", "pitch_rad", "yaw_rad"];
 const MIN_NORM: f64 = 1e-6;
 
 /// Source columns of a quaternion.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct QuaternionColumns {
     /// Scalar part.

@@ -263,14 +263,14 @@ fn axes(fields: &FieldEvaluation, columns: &[ResidualTable]) -> Vec<FieldAxisErr
     fields.sensors.iter().zip(columns).flat_map(of_sensor).collect()
 }
 
-/// Words of the recorded standard covariates without a value in any row.
+/// Descriptions of the covariates that no recording has.
 fn not_recorded(sensors: &[ResidualTable]) -> Vec<Cow<'static, str>> {
-    let names = sensors.first().map_or(&[][..], |sensor| &sensor.covariates).iter();
+    let all = sensors.first().map_or(&[][..], |sensor| &sensor.covariates).iter();
     let is_missing = |name: &str| {
         let mut columns = sensors.iter().filter_map(|sensor| sensor.column(name));
         columns.all(|column| column.values.iter().all(|value| value.is_nan()))
     };
-    let missing = names.filter(|column| !column.of.is_derived() && is_missing(&column.of.name));
+    let missing = all.filter(|column| !column.of.is_derived() && is_missing(&column.of.name));
     missing.map(|column| column.of.words.clone()).collect()
 }
 

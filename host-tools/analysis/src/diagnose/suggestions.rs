@@ -230,7 +230,7 @@ fn line(words: &[String]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnose::{DiscoveredFormula, Unexplained};
+    use crate::diagnose::{DiscoveredFormula, Reason, Unexplained};
     use model_export::effects::expression::Expression;
 
     const TYPED: Invocation = Invocation {
@@ -254,6 +254,52 @@ mod tests {
             next.commands,
             ["cargo magpie add m.toml 'my campaign' hysteresis creep -o m-better.toml"]
         );
+    }
+
+    fn clock_skew(kind: VerdictKind) -> Verdict {
+        Verdict {
+            effect: "clock_skew".to_owned(),
+            kind,
+            provisional: false,
+            tied_with: Vec::new(),
+            reproduces: Vec::new(),
+            gain: 0.9,
+            p_adjusted: 0.002,
+            value: 10.104,
+            std_error: 0.05,
+            unit: "ms".to_owned(),
+            z_typical: 100.0,
+            implausible: None,
+            reason: Reason::ReducesError,
+            record: String::new(),
+        }
+    }
+
+    #[test]
+    fn clocks_are_aligned_before_effects_are_added() {
+        let found = Diagnosis {
+            verdicts: vec![clock_skew(VerdictKind::Found)],
+            ..accepted(&[&["clock_skew"], &["creep"]])
+        };
+        let next = suggest(&found, &Invocation { delay_ms: 300.0, ..TYPED });
+        assert_eq!(next.kind, SuggestionKind::AlignClocks);
+        let command = "cargo magpie fit 'my campaign' --delay-ms 310.1 -o m-better.toml";
+        assert_eq!(next.commands, [command]);
+        // Where another effect explains the same, the clocks may be right.
+        let tied = Diagnosis {
+            verdicts: vec![clock_skew(VerdictKind::Tied)],
+            ..accepted(&[&["clock_skew", "viscous_lag"]])
+        };
+        assert_eq!(suggest(&tied, &TYPED).kind, SuggestionKind::ChooseEffect);
+    }
+
+    #[test]
+    fn a_model_of_other_recordings_is_not_exported() {
+        let diagnosis = Diagnosis { at_floor: true, ..Diagnosis::default() };
+        assert_eq!(suggest(&diagnosis, &TYPED).kind, SuggestionKind::Export);
+        let next = suggest(&diagnosis, &Invocation { is_fitted_here: false, ..TYPED });
+        assert_eq!(next.kind, SuggestionKind::Replay);
+        assert_eq!(next.commands, ["cargo magpie replay m.toml 'my campaign'"]);
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
-use firmware::protocol::layout::{MessageLayout, SignalLayout};
+use firmware::protocol::layout::{MessageLayout, SignalLayout, decode};
 use firmware::protocol::messages::{FaultEvent, GripStatus, Heartbeat, Message, Power, Timing};
 use firmware::sensors::hall::SENSORS;
 use model_export::recordings::description::RecordingDescription;
@@ -94,12 +94,11 @@ impl McapOutput {
 
 /// Value of a signal in its unit.
 fn physical(signal: &SignalLayout, frame: u64) -> f64 {
-    let width = u32::from(signal.end_bit - signal.first_bit);
-    let raised = frame << (64 - u32::from(signal.end_bit));
+    let bits = signal.first_bit..signal.end_bit;
     let counts = if signal.signed {
-        ((raised as i64) >> (64 - width)) as f64
+        f64::from(decode::<i32>(frame, bits))
     } else {
-        (raised >> (64 - width)) as f64
+        f64::from(decode::<u32>(frame, bits))
     };
     counts * signal.scale
 }

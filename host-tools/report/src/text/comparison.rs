@@ -565,8 +565,7 @@ fn conclusion(comparison: &Comparison) -> String {
             );
         }
         let force = ForceError::of(&comparison.forces);
-        let no_effects = std::iter::empty::<&str>();
-        let excess = force.and_then(|force| force_error::larger_excess(&force, &[], no_effects));
+        let excess = force.and_then(|force| force_error::larger_excess(&force, &[]));
         return format!(
             "At the noise floor: {error}, the floor is {}. The field shows no missing effect.{}",
             field(floor),

@@ -572,7 +572,7 @@ pub fn at_floor_note(diagnosis: &Diagnosis) -> String {
     let force = diagnosis.staircase.last().and_then(|last| last.force);
     let in_newtons = match force {
         None => String::new(),
-        Some(force) => force_error::larger_excess(&force, &diagnosis.uncompensated, diagnosis.accepted.iter().flatten()).unwrap_or_else(|| format!(
+        Some(force) => force_error::larger_excess(&force, &diagnosis.uncompensated).unwrap_or_else(|| format!(
             " The same margin in newtons is an excess of {:.2} times the noise; it contains the error of the device's \
              tables and fixed-point arithmetic, and that of the noise's estimate.",
             force_error::margin()

@@ -279,10 +279,8 @@ fn gain(edit: &ModelEdit) -> String {
         format!("but is still {ratio:.1} times the floor: another effect is missing")
     };
     let force = edit.force.filter(|_| ratio <= AT_FLOOR);
-    let force = force.and_then(|[_, after]| {
-        let effects = edit.model.effects.iter().map(|effect| &effect.name);
-        force_error::larger_excess(&after, &edit.uncompensated, effects)
-    });
+    let force =
+        force.and_then(|[_, after]| force_error::larger_excess(&after, &edit.uncompensated));
     format!(
         "With {added} the error of the field decreases by {:.1} % {remainder}.{}",
         100.0 * reduction,

@@ -50,23 +50,15 @@ pub fn margin() -> f64 {
     (AT_FLOOR * AT_FLOOR - 1.0).sqrt()
 }
 
-/// Note to a field at its noise floor, where the forces are not; `effects` are those of the model, some of them `uncompensated`.
-pub fn larger_excess(
-    force: &ForceError,
-    uncompensated: &[UncompensatedEffect],
-    mut effects: impl Iterator<Item = impl AsRef<str>>,
-) -> Option<String> {
+/// Note to a field at its noise floor, where the forces are not; `uncompensated` are effects of the model.
+pub fn larger_excess(force: &ForceError, uncompensated: &[UncompensatedEffect]) -> Option<String> {
     if force.excess_n() <= margin() * force.noise_n {
         return None;
     }
-    let why = if !uncompensated.is_empty() {
-        uncompensated.iter().map(notes::uncompensated).collect::<Vec<_>>().join("; ")
-    } else if effects.any(|effect| effect.as_ref() == "hysteresis") {
-        "it compensates friction with the direction of the forces that it estimates itself, which their noise hides after each \
-         reversal; `replay` shows the error by sensor and recording"
-            .to_owned()
-    } else {
+    let why = if uncompensated.is_empty() {
         "`replay` shows it by sensor and recording".to_owned()
+    } else {
+        uncompensated.iter().map(notes::uncompensated).collect::<Vec<_>>().join("; ")
     };
     Some(format!(" The forces of the device have a larger excess: {why}."))
 }

@@ -93,32 +93,20 @@ fn read_bag(path: &Path) -> Result<Vec<SourceTable>, DataError> {
         let Some(first) = of_quantity.rev().max_by_key(|topic| topic.messages()) else {
             continue;
         };
-        let is_stamped = topics.iter().all(|topic| topic.clock() == first.clock());
-        let clock = if is_stamped { first.clock() } else { mcap::LOG_TIME };
-        let is_time = |path: &str| {
-            path == mcap::LOG_TIME || path == "publish_time" || path.ends_with("stamp")
-        };
+        let clock = mcap::common_clock(&topics);
+        let clock_name = first.column_name(clock);
         let fields = topics.iter().flat_map(|topic| {
-            let wanted = topic
-                .columns
-                .iter()
-                .filter(|column| !is_time(&column.path) && !column.path.contains("covariance"));
+            let wanted = topic.fields().filter(|column| !column.path.contains("covariance"));
             wanted.map(|column| (topic.column_name(&column.path), topic.unit(&column.path)))
         });
-        let fields: Vec<(String, Option<String>)> = fields.collect();
+        let fields: Vec<(String, Option<String>)> =
+            [(clock_name.clone(), first.unit(clock))].into_iter().chain(fields).collect();
         let names: Vec<&str> = fields.iter().map(|(name, _)| name.as_str()).collect();
-        let clock_name = first.column_name(clock);
         let text = mcap::join_topics(path, &topics, &clock_name, &names, join)?;
         let header = CsvTable::from_text(path, text.clone())?.header().to_vec();
         let mut table = read_rows(path, false, header, CsvReader::from_text(path, text))?;
-        for column in &mut table.columns {
-            let unit = if column.name == clock_name {
-                Some("ns")
-            } else {
-                let field = fields.iter().find(|(name, _)| *name == column.name);
-                field.and_then(|(_, unit)| unit.as_deref())
-            };
-            if let Some(unit) = unit.and_then(find_unit) {
+        for (column, (_, unit)) in table.columns.iter_mut().zip(&fields) {
+            if let Some(unit) = unit.as_deref().and_then(find_unit) {
                 column.stated.unit = Some(unit);
                 column.quantity = Quantity::of_unit(unit);
             }

@@ -9,6 +9,7 @@ mod decode;
 mod recording;
 mod writer;
 
+use std::collections::BTreeMap;
 use std::collections::hash_map::{Entry, HashMap};
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
@@ -27,7 +28,7 @@ use writer::{MAPPING_KEY, UNITS_KEY};
 const MAX_RECORD_BYTES: usize = 256 << 20;
 
 /// Column of the time at which the recorder received a message.
-pub const LOG_TIME: &str = "log_time";
+const LOG_TIME: &str = "log_time";
 /// Column of the time at which a message was sent.
 const PUBLISH_TIME: &str = "publish_time";
 /// Column of the time at which the values of a ROS message were measured.
@@ -41,7 +42,7 @@ pub struct Topic {
     /// Name of the message type, such as `sensor_msgs/msg/MagneticField`; empty without a schema.
     pub schema: String,
     /// Metadata of the channel.
-    pub metadata: std::collections::BTreeMap<String, String>,
+    pub metadata: BTreeMap<String, String>,
     /// Numbers by message.
     pub columns: Vec<TopicColumn>,
 }
@@ -67,9 +68,11 @@ impl Topic {
         Some(&column.values)
     }
 
-    /// Best clock of its messages: the time of the measurement where it is stated.
-    pub fn clock(&self) -> &'static str {
-        if self.values(HEADER_STAMP).is_some() { HEADER_STAMP } else { LOG_TIME }
+    /// Fields without times.
+    pub fn fields(&self) -> impl Iterator<Item = &TopicColumn> {
+        let is_time =
+            |path: &str| [LOG_TIME, PUBLISH_TIME].contains(&path) || path.ends_with("stamp");
+        self.columns.iter().filter(move |column| !is_time(&column.path))
     }
 
     /// Name of a column.
@@ -165,6 +168,20 @@ pub enum Undecodable {
     Skip,
 }
 
+/// Messages of a file, with the checksums of their chunks verified.
+fn messages(
+    file: &Path,
+) -> Result<impl Iterator<Item = Result<mcap::Message<'static>, DataError>>, DataError> {
+    let options = LinearReaderOptions::default()
+        .with_validate_chunk_crcs(true)
+        .with_record_length_limit(MAX_RECORD_BYTES);
+    let reader = BufReader::new(input::open(file)?);
+    let damaged =
+        |error: mcap::McapError| ErrorKind::DamagedMcap(error.to_string()).at(Location::file(file));
+    let messages = MessageReader::new_with_options(reader, options);
+    Ok(messages.map(move |message| message.map_err(damaged)))
+}
+
 /// Reads the wanted topics of a bag.
 ///
 /// # Errors
@@ -179,15 +196,8 @@ pub fn read_topics(
     for file in files(path)? {
         // Decoder and topic by channel.
         let mut channels: HashMap<u16, Option<(Decoder, usize)>> = HashMap::new();
-        let options = LinearReaderOptions::default()
-            .with_validate_chunk_crcs(true)
-            .with_record_length_limit(MAX_RECORD_BYTES);
-        let damaged = |error: mcap::McapError| {
-            ErrorKind::DamagedMcap(error.to_string()).at(Location::file(&file))
-        };
-        let reader = BufReader::new(input::open(&file)?);
-        for message in MessageReader::new_with_options(reader, options) {
-            let message = message.map_err(damaged)?;
+        for message in messages(&file)? {
+            let message = message?;
             let channel = &message.channel;
             let failed = |reason: String| {
                 ErrorKind::Undecodable { reason }
@@ -195,12 +205,15 @@ pub fn read_topics(
             };
             let known = match channels.entry(channel.id) {
                 Entry::Occupied(known) => known.into_mut(),
-                Entry::Vacant(vacant) => vacant.insert(match Decoder::new(channel) {
-                    _ if !is_wanted(&channel.topic) => None,
-                    Ok(decoder) => Some((decoder, topic_index(&mut topics, channel))),
-                    Err(_) if undecodable == Undecodable::Skip => None,
-                    Err(reason) => return Err(failed(reason)),
-                }),
+                Entry::Vacant(vacant) => {
+                    let decoder = is_wanted(&channel.topic).then(|| Decoder::new(channel));
+                    vacant.insert(match decoder {
+                        None => None,
+                        Some(Ok(decoder)) => Some((decoder, topic_index(&mut topics, channel))),
+                        Some(Err(_)) if undecodable == Undecodable::Skip => None,
+                        Some(Err(reason)) => return Err(failed(reason)),
+                    })
+                }
             };
             let Some((decoder, index)) = known else {
                 continue;
@@ -232,14 +245,8 @@ pub fn stated_mapping(path: &Path) -> Result<Option<String>, DataError> {
     let Some(file) = files(path)?.into_iter().next() else {
         return Ok(None);
     };
-    let options = LinearReaderOptions::default().with_record_length_limit(MAX_RECORD_BYTES);
-    let reader = BufReader::new(input::open(&file)?);
     // The writer of this project begins with a message of the topic that states it.
-    let mut messages = MessageReader::new_with_options(reader, options);
-    let first = messages
-        .next()
-        .transpose()
-        .map_err(|error| ErrorKind::DamagedMcap(error.to_string()).at(Location::file(&file)))?;
+    let first = messages(&file)?.next().transpose()?;
     Ok(first.and_then(|message| message.channel.metadata.get(MAPPING_KEY).cloned()))
 }
 
@@ -255,10 +262,17 @@ fn topic_index(topics: &mut Vec<Topic>, channel: &mcap::Channel<'_>) -> usize {
     })
 }
 
+/// Best clock that all of these topics have: the time of the measurement where it is stated.
+pub fn common_clock(topics: &[Topic]) -> &'static str {
+    let is_stamped = |topic: &Topic| topic.values(HEADER_STAMP).is_some();
+    if topics.iter().all(is_stamped) { HEADER_STAMP } else { LOG_TIME }
+}
+
 /// What a row of a table needs of the topics besides that of its clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Join {
-    /// The message nearest in time, in every row: for a board's readings and covariates.
+    /// In every row the message nearest in time, if it is not more than [`GAP_STEPS`] periods of its topic away: for a board's
+    /// readings and covariates.
     Nearest,
     /// Each message in the row nearest in time, and no value in the others: for a reference that is interpolated.
     Once,
@@ -268,7 +282,7 @@ pub enum Join {
 /// `clock` and `columns`.
 ///
 /// # Errors
-/// A column is not in the bag, or its topic lacks the clock.
+/// A column is not in the bag, or its topic is without the clock.
 pub fn join_topics(
     path: &Path,
     topics: &[Topic],

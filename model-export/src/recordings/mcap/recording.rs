@@ -1,11 +1,12 @@
 //! A recording as an MCAP file: the board's readings and covariates, the reference, and what the device estimates.
 
+use std::io;
 use std::path::Path;
 
-use serde::Serialize;
-
-use crate::recordings::description::{NominalDesign, RecordingDescription};
-use crate::recordings::error::DataError;
+use crate::recordings::description::RecordingDescription;
+use crate::recordings::error::{DataError, ErrorKind, Location};
+use crate::recordings::mapping::{ClockMapping, ColumnMapping, Mapping, TableMapping};
+use crate::recordings::mcap::LOG_TIME;
 use crate::recordings::mcap::writer::{McapWriter, TopicId};
 use crate::recordings::units::{UNITS, column_unit};
 
@@ -62,7 +63,7 @@ impl RecordingMcap {
         state: &[StateTopic],
     ) -> Result<Self, DataError> {
         let mut writer = McapWriter::create(path)?;
-        let mapping = mapping(description, hall, force);
+        let mapping = mapping(path, description, hall, force)?;
         let board = writer.add_topic(BOARD, "Board", &with_units(hall), Some(&mapping))?;
         let reference = writer.add_topic(REFERENCE, "Reference", &with_units(force), None)?;
         let of_sensor = |number: &u32| {
@@ -134,55 +135,40 @@ fn with_units(columns: &[String]) -> Vec<(&str, &'static str)> {
 }
 
 /// The mapping with which `import` reads the file.
-fn mapping(description: &RecordingDescription, hall: &[String], force: &[String]) -> String {
-    #[derive(Serialize)]
-    struct Clock {
-        from: String,
-        unit: &'static str,
-    }
-    #[derive(Serialize)]
-    struct Column {
-        from: String,
-        unit: &'static str,
-        to: String,
-    }
-    #[derive(Serialize)]
-    struct Table {
-        clock: Clock,
-        columns: Vec<Column>,
-    }
-    #[derive(Serialize)]
-    struct Stated<'a> {
-        description: &'a str,
-        one_clock: bool,
-        #[serde(skip_serializing_if = "Option::is_none")]
-        range_gauss: Option<f64>,
-        #[serde(skip_serializing_if = "Option::is_none")]
-        gauss_per_lsb: Option<f64>,
-        hall: Table,
-        force: Table,
-        #[serde(skip_serializing_if = "Option::is_none")]
-        design: Option<&'a NominalDesign>,
-    }
+fn mapping(
+    path: &Path,
+    description: &RecordingDescription,
+    hall: &[String],
+    force: &[String],
+) -> Result<String, DataError> {
     let table = |topic: &str, names: &[String]| {
-        let column = |(name, unit): (&str, &'static str)| Column {
+        let column = |(name, unit): (&str, &str)| ColumnMapping {
             from: format!("{topic}.{name}"),
-            unit,
+            unit: unit.to_owned(),
             to: name.to_owned(),
+            scale: 1.0,
+            missing: None,
         };
-        Table {
-            clock: Clock { from: format!("{topic}.log_time"), unit: "ns" },
+        TableMapping {
+            file: None,
+            clock: ClockMapping {
+                from: format!("{topic}.{LOG_TIME}"),
+                unit: "ns".to_owned(),
+                offset_s: 0.0,
+            },
             columns: with_units(names).into_iter().map(column).collect(),
+            attitude: None,
         }
     };
-    let stated = Stated {
-        description: &description.description,
+    let mapping = Mapping {
+        description: description.description.clone(),
         one_clock: true,
         range_gauss: description.range_gauss,
         gauss_per_lsb: description.gauss_per_lsb,
+        design: description.design.clone(),
         hall: table(BOARD, hall),
         force: table(REFERENCE, force),
-        design: description.design.as_ref(),
     };
-    toml::to_string(&stated).unwrap_or_default()
+    toml::to_string(&mapping)
+        .map_err(|error| ErrorKind::Unwritable(io::Error::other(error)).at(Location::file(path)))
 }

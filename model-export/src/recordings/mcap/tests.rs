@@ -70,7 +70,7 @@ fn messages_of_ros_2_become_numbers_with_paths() {
     assert_eq!(value("magnetic_field.y"), -0.125);
     assert_eq!(value("diagonal[2]"), 9.0);
     assert_eq!(topic.unit("magnetic_field.x").as_deref(), Some("T"));
-    assert_eq!(topic.clock(), "header.stamp");
+    assert_eq!(common_clock(&topics), "header.stamp");
     assert!(topic.values("header.frame_id").is_none());
 }
 
