@@ -251,6 +251,18 @@ fn proposal_recognises_columns_of_common_loggers() {
                 ("temperature_degC", "degC", "s1_temp_c"),
             ],
         },
+        // A word or a number of its own decides too.
+        Case {
+            header: "t_ms,R_Bx_G,R_By_G,R_Bz_G,L_Bx_G,L_By_G,L_Bz_G,L grip z (N),R grip z (N)",
+            step: 1.0,
+            is_whole: false,
+            clock_unit: "ms",
+            columns: &[
+                ("R_Bx_G", "G", "s0_x_gauss"),
+                ("L grip z (N)", "N", "f1_z_n"),
+                ("R grip z (N)", "N", "f0_z_n"),
+            ],
+        },
         // Names of sensors decide, not the order.
         Case {
             header: "t_s,right_bx_G,right_by_G,right_bz_G,left_bx_G,left_by_G,left_bz_G,left_temp_degC,right_temp_degC,left_fz_N,right_fz_N",

@@ -7,6 +7,7 @@ use anyhow::{Context, Result};
 use model_export::effects::EffectTerm;
 use model_export::fit::FitOptions;
 use model_export::fit::campaign::FitSetup;
+use model_export::fit::cross_validation::CvSplit;
 use model_export::fit::score_test::ScoreTest;
 use model_export::model_file::{BaseKind, ModelFile, Provenance};
 use model_export::recordings::Campaign;
@@ -161,31 +162,44 @@ impl Workbench {
         first.map_or_else(Vec::new, |recording| recording.covariates.keys().cloned().collect())
     }
 
-    /// The model with these effects, if it was fitted.
-    pub fn fitted(&self, effects: &[EffectTerm]) -> Option<&WorkbenchModel> {
+    /// The model with these effects, if it was fitted for a comparison with a model with the effects `compared`.
+    pub fn fitted(
+        &self,
+        effects: &[EffectTerm],
+        compared: &[EffectTerm],
+    ) -> Option<&WorkbenchModel> {
+        let split = self.split(effects, compared);
         self.models.iter().find(|known| {
-            known.effects.len() == effects.len()
+            known.stage.fit.split == split
+                && known.effects.len() == effects.len()
                 && known.effects.iter().zip(effects).all(|(a, b)| is_same(a, b))
         })
     }
 
-    /// Fits the model with these effects, unless it was fitted before.
+    /// The folds that models with both sets of effects need.
+    fn split(&self, effects: &[EffectTerm], compared: &[EffectTerm]) -> CvSplit {
+        self.setup.split(&[effects, compared].concat())
+    }
+
+    /// Fits the model with these effects, unless it was fitted before; its folds are those that a model with the effects `compared`
+    /// needs too.
     ///
     /// # Errors
     /// The recordings cannot identify an effect, a fit fails, or a recording was removed meanwhile.
-    pub fn fit_model(&mut self, effects: &[EffectTerm]) -> Result<()> {
-        if self.fitted(effects).is_none() {
+    pub fn fit_model(&mut self, effects: &[EffectTerm], compared: &[EffectTerm]) -> Result<()> {
+        if self.fitted(effects, compared).is_none() {
             // The replay reads the recordings again.
             recording_folders(&self.reader.folder)?;
-            let model = self.fit(effects)?;
+            let model = self.fit(effects, compared)?;
             self.models.push(model);
         }
         Ok(())
     }
 
-    fn fit(&self, effects: &[EffectTerm]) -> Result<WorkbenchModel> {
+    fn fit(&self, effects: &[EffectTerm], compared: &[EffectTerm]) -> Result<WorkbenchModel> {
         let mut notes = check_effects(effects, self.base, &self.campaign, &self.setup)?;
-        let fit = self.setup.fit(effects, self.setup.split(effects), self.options, |_| ())?;
+        let split = self.split(effects, compared);
+        let fit = self.setup.fit(effects, split, self.options, |_| ())?;
         let provenance =
             Provenance::of(&self.campaign, self.reader.alignment.delay_us, self.options)?;
         let model = ModelFile::with_effects(&self.campaign, &self.setup, &fit, effects, provenance);
@@ -199,8 +213,8 @@ impl Workbench {
             &model,
             &self.reader,
             Some((&self.setup, &stage.fit)),
-            &findings,
-            self.options,
+            compared,
+            (&findings, self.options),
             &mut notes,
         )?;
         let comparison = Comparison { findings, notes, ..comparison };
@@ -212,7 +226,7 @@ impl Workbench {
     /// # Errors
     /// The model was not fitted, or a fit fails.
     pub fn diagnose(&self, effects: &[EffectTerm], plans: bool) -> Result<Diagnosis> {
-        let model = self.fitted(effects).context("the model was not fitted")?;
+        let model = self.fitted(effects, &[]).context("the model was not fitted")?;
         let campaign = (&self.campaign, self.reader.alignment);
         let path = Path::new("model.toml");
         let observer = Observer::default();
@@ -247,7 +261,7 @@ impl Workbench {
         covariate: &str,
         interval: &Interval,
     ) -> Result<ResidualScatter> {
-        let model = self.fitted(effects).context("the model was not fitted")?;
+        let model = self.fitted(effects, &[]).context("the model was not fitted")?;
         let covariates = self.residual_covariates();
         let covariate = covariates.into_iter().find(|known| known.name == covariate);
         let covariate = covariate.context("there is no such covariate")?;

@@ -27,7 +27,8 @@ use crate::commands::simulate::parse_effect;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
-  cargo magpie fit tests/data/demo -o any.toml                             # any model of this design
+  # any model of this design
+  cargo magpie fit tests/data/demo -o any.toml
   cargo magpie bench record any.toml -o bench --random-effects 1 --seed 5
   cargo magpie fit bench -o plain.toml
   cargo magpie diagnose plain.toml bench                                   # what is hidden?

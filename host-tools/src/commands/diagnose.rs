@@ -27,7 +27,8 @@ Examples:
   cargo magpie diagnose model.toml tests/data/friction -o report.html
   cargo magpie diagnose model.toml my-campaign --range p=2..5 \\
     --expr 'ripple: dz_um = a*sin(2*pi*opening_mm/p) + b*cos(2*pi*opening_mm/p)'
-  cargo magpie diagnose model.toml tests/data/demo --plan plan.toml    # the recording that decides what is open
+  # the recording that decides what is open
+  cargo magpie diagnose model.toml tests/data/demo --plan plan.toml
   cargo magpie diagnose model.toml tests/data/demo --json | jq '.accepted'")]
 pub struct Args {
     #[command(flatten)]

@@ -60,11 +60,11 @@ Examples:
   cargo magpie add model.toml my-campaign -o better.toml --range p=2..5 \\
     --expr 'ripple: dz_um = a*sin(2*pi*opening_mm/p) + b*cos(2*pi*opening_mm/p)'
 
-In a formula, names ending in a unit are covariates (the recording's columns, opening_rate_mm_per_s, fx_n, fz_n,
-fx_rate_n_per_s, fz_rate_n_per_s, temp_c, time_s, session_s), names with a --range are nonlinear parameters, all
-others are coefficients. lag(COVARIATE, SECONDS) is the covariate after a first-order low pass; SECONDS is a
-number or a name with a --range. TARGET is a force (fx_n, fz_n), a displacement of the magnet (dx_um, dy_um,
-dz_um), its tilt (tilt_x_mrad, tilt_z_mrad), a field (bx_g, by_g, bz_g), a gain (gain_percent, gain_x_percent,
+In a formula, names ending in a unit are covariates (the recording's columns, opening_rate_mm_per_s, fx_n, fz_n, \
+fx_rate_n_per_s, fz_rate_n_per_s, temp_c, time_s, session_s), names with a --range are nonlinear parameters, all \
+others are coefficients. lag(COVARIATE, SECONDS) is the covariate after a first-order low pass; SECONDS is a \
+number or a name with a --range. TARGET is a force (fx_n, fz_n), a displacement of the magnet (dx_um, dy_um, \
+dz_um), its tilt (tilt_x_mrad, tilt_z_mrad), a field (bx_g, by_g, bz_g), a gain (gain_percent, gain_x_percent, \
 ...) or a rotation of the sensor (rotation_x_mrad, ...).")]
 pub struct AddArgs {
     #[command(flatten)]

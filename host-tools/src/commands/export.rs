@@ -28,7 +28,8 @@ use report::text::terminal;
 Examples:
   cargo magpie export model.toml -o my-tables.rs
   cargo magpie export model.toml --network network.safetensors -o my-tables.rs
-  cargo magpie export model.toml --mcap my-campaign -o mcap-files     # for Foxglove, PlotJuggler and Python
+  # for Foxglove, PlotJuggler and Python
+  cargo magpie export model.toml --mcap my-campaign -o mcap-files
   MAGPIE_TABLES=my-tables.rs cargo image")]
 pub struct Args {
     /// Model file written by `magpie fit`.

@@ -20,9 +20,11 @@ use report::text::terminal;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
-  cargo magpie import --guess run1.csv run2.csv run3.csv -o mapping.toml    # proposes a mapping: check it
+  # proposes a mapping: check it
+  cargo magpie import --guess run1.csv run2.csv run3.csv -o mapping.toml
   cargo magpie import mapping.toml run1.csv run2.csv run3.csv -o my-campaign
-  cargo magpie import --guess bag1 bag2 -o mapping.toml    # ROS 2 bags and MCAP files, as these folders or .mcap
+  # ROS 2 bags and MCAP files, as these folders or .mcap
+  cargo magpie import --guess bag1 bag2 -o mapping.toml
   cargo magpie import tests/data/eflesh_normal.mapping.toml run1.csv run2.csv run3.csv -o eflesh
 
 A mapping file:
@@ -32,16 +34,18 @@ A mapping file:
   clock = { from = \"t_sensor_s\", unit = \"s\" }
   columns = [ { from = \"bx0_uT\", unit = \"uT\", to = \"s0_x_gauss\" } ]
   [force]
-  clock = { from = \"t_state_s\", unit = \"s\", offset_s = -338.99 }    # added: where the two clocks differ
+  # added: where the two clocks differ
+  clock = { from = \"t_state_s\", unit = \"s\", offset_s = -338.99 }
   columns = [ { from = \"weight_g\", unit = \"g\", to = \"f0_z_n\", scale = -1, missing = -1 } ]
   [design]                          # of the sensor, if known; else fit with --base polynomial
   gap_mm = 2.0                      # from the magnet's face to the Hall element, unloaded
   stiffness_x_n_per_mm = 100.0      # lateral (grasping)
   stiffness_z_n_per_mm = 100.0      # longitudinal
-  force_range_n = 250.0             # largest force of each axis, either sign; the tables of the device cover it
+  # largest force of each axis, either sign; the tables of the device cover it
+  force_range_n = 250.0
   magnet = { shape = \"cylinder\", diameter_mm = 4.0, length_mm = 3.0, remanence_t = 1.3, axis = \"y\" }
-In a bag a column is topic.field, as in \"/finger0/mag.magnetic_field.x\", with the clock \"/finger0/mag.header.stamp\" or
-\"/finger0/mag.log_time\" in ns. There is a row for each message of the clock's topic; other topics are joined by time.
+In a bag a column is topic.field, as in \"/finger0/mag.magnetic_field.x\", with the clock \"/finger0/mag.header.stamp\" or \
+\"/finger0/mag.log_time\" in ns. There is a row for each message of the clock's topic; other topics are joined by time. \
 For separate files of the two sides, give each side `file = \"NAME\"` and pass folders as sources.")]
 pub struct Args {
     /// Mapping of the source columns.

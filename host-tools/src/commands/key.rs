@@ -22,7 +22,8 @@ use crate::commands::connection::PortArgs;
 #[command(after_help = "\
 Examples:
   cargo magpie key new key.txt
-  cargo magpie key write key.txt --port /dev/ttyACM0                  # the first one, or with the button pressed
+  # the first one, or with the button pressed
+  cargo magpie key write key.txt --port /dev/ttyACM0
   cargo magpie key write new.txt --port /dev/ttyACM0 --key key.txt    # replaces it
   cargo magpie key erase --port /dev/ttyACM0 --key key.txt")]
 pub struct Args {

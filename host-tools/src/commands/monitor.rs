@@ -29,8 +29,8 @@ Examples:
   cargo magpie monitor --virtual --unplug 2@5 --seconds 10 | cat
   cargo magpie monitor --port /dev/ttyACM0 --json | jq '.sensors[0].fx_n'
 
-On a terminal it draws a live view (q quits), otherwise it prints one line per second. --json prints ten objects
-per second: newtons, seconds since the start of the command (time_s) and of the board (board_s). Standard
+On a terminal it draws a live view (q quits), otherwise it prints one line per second. --json prints ten objects \
+per second: newtons, seconds since the start of the command (time_s) and of the board (board_s). Standard \
 deviations are present if a network runs on the gripper.")]
 pub struct Args {
     #[command(flatten)]

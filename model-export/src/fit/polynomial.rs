@@ -4,7 +4,7 @@ use nalgebra::{DMatrix, DVector, Vector3};
 
 use crate::fit::block_bootstrap::{self, Block};
 use crate::fit::cross_validation::{CvSplit, ErrorSums, RowRange, all_rows, time_slices};
-use crate::fit::rows::SensorRows;
+use crate::fit::rows::{RecordingRows, SensorRows};
 use crate::fit::{AxisScore, FitError, FitOptions};
 use crate::input::MAX_POLYNOMIAL_TERMS;
 use crate::recordings::columns::Axis;
@@ -149,14 +149,16 @@ pub struct PolynomialFit {
     pub std_error_g: DMatrix<f64>,
     /// Held-out error and noise floor of each axis.
     pub scores: Vec<AxisScore>,
-    /// Held-out error in gauss, root mean square over the axes, of each degree that was tried.
+    /// Held-out error in gauss, root mean square over the axes, of each degree that was tried: of several degrees that of the field
+    /// without what is linear in the covariates.
     pub tried: Vec<(usize, f64)>,
     /// Length of the bootstrap's blocks in seconds.
     pub block_s: f64,
 }
 
 /// Fits one sensor with a polynomial of `degree`, or of the lowest degree whose held-out error is within 1 % of
-/// the best up to [`MAX_DEGREE`]. Without forces the degree is zero whatever is stated.
+/// the best up to [`MAX_DEGREE`]. What depends on other covariates, and is not in the model yet, would hide the curvature that a
+/// higher degree describes: degrees are compared on the field without it. Without forces the degree is zero whatever is stated.
 pub fn fit(
     rows: &SensorRows,
     degree: Option<usize>,
@@ -177,16 +179,21 @@ pub fn fit(
         let (sensor, forces, max) = (rows.sensor, spans.len(), MAX_POLYNOMIAL_TERMS);
         return Err(FitError::TooManyTerms { sensor, degree, forces, max });
     }
+    let largest = *degrees.end();
+    let is_chosen = degrees.clone().count() > 1;
+    let without = is_chosen.then(|| without_covariates(rows, &spans, largest)).flatten();
+    let compared = without.as_ref().unwrap_or(rows);
     let tried: Vec<(usize, ErrorSums)> = degrees
-        .map(|degree| Ok((degree, held_out(rows, &spans, degree)?)))
+        .map(|degree| Ok((degree, held_out(compared, &spans, degree)?)))
         .collect::<Result<_, FitError>>()?;
     let best = tried.iter().map(|(_, sums)| sums.mean_square()).fold(f64::INFINITY, f64::min);
     let chosen =
         tried.iter().find(|(_, sums)| sums.mean_square() <= (1.0 + DEGREE_TOLERANCE) * best);
-    let Some((degree, sums)) = chosen else {
+    let Some((degree, _)) = chosen else {
         let reason = "no degree gave a finite error".to_owned();
         return Err(FitError::NotConverged { sensor: rows.sensor, reason });
     };
+    let sums = held_out(rows, &spans, *degree)?;
     let all = all_rows(rows);
     let model = solve(rows, &all, &spans, *degree)?;
     let mut training = ErrorSums::default();
@@ -200,6 +207,106 @@ pub fn fit(
         tried: tried.iter().map(|(d, sums)| (*d, sums.mean_square().sqrt())).collect(),
         block_s,
     })
+}
+
+/// Rows of each recording from which the covariates' part is estimated.
+const COVARIATE_ROWS: usize = 2000;
+/// Minimum rows for each coefficient of that estimate.
+const ROWS_PER_COEFFICIENT: usize = 20;
+/// Relative ridge of that estimate: covariates may be linearly dependent.
+const RIDGE: f64 = 1e-6;
+/// Maximum degree of the polynomial beside the covariates.
+const MAX_DEGREE_BESIDE: usize = 5;
+
+/// The rows with the field without what is linear in each covariate and rate of the forces, also in its product with a force;
+/// estimated beside a polynomial of a degree up to `degree`. `None` without a covariate that varies, or with too few rows.
+fn without_covariates(
+    rows: &SensorRows,
+    spans: &[(f64, f64)],
+    degree: usize,
+) -> Option<SensorRows> {
+    let mut without = rows.clone();
+    let columns: Vec<Vec<Vec<f64>>> = rows.parts.iter().map(covariate_columns).collect();
+    let count = columns.first().map_or(0, Vec::len);
+    // Recordings with other covariates.
+    if columns.iter().any(|part| part.len() != count) {
+        return None;
+    }
+    // Mean and scale of each.
+    let values = |column: usize| columns.iter().flat_map(move |part| &part[column]);
+    let scales: Vec<Option<(f64, f64)>> = (0..count)
+        .map(|column| {
+            let total = values(column).count().max(1) as f64;
+            let mean = values(column).sum::<f64>() / total;
+            let square = values(column).map(|value| (value - mean).powi(2)).sum::<f64>() / total;
+            (square.is_finite() && square.sqrt() > 1e-9 * mean.abs().max(1e-9))
+                .then(|| (mean, square.sqrt()))
+        })
+        .collect();
+    let basis = LegendreBasis::new(spans, degree.min(MAX_DEGREE_BESIDE));
+    let terms = basis.terms.len();
+    let own = scales.iter().flatten().count() * (1 + spans.len());
+    // The covariates, and their products with each scaled force.
+    let regressors = |part: usize, row: usize, force_n: &[f64]| -> DVector<f64> {
+        let mut list = basis.values(force_n);
+        for (column, scale) in columns[part].iter().zip(&scales) {
+            let Some((mean, scale)) = scale else { continue };
+            let value = (column[row] - mean) / scale;
+            list.push(value);
+            let scaled = force_n.iter().zip(spans);
+            list.extend(
+                scaled.map(|(f, (low, high))| value * (2.0 * f - low - high) / (high - low)),
+            );
+        }
+        DVector::from_vec(list)
+    };
+    let mut normal = DMatrix::zeros(terms + own, terms + own);
+    let mut right = DMatrix::zeros(terms + own, 3);
+    let mut used = 0;
+    for (part, rows) in rows.parts.iter().enumerate() {
+        for row in (0..rows.len()).step_by(rows.len().div_ceil(COVARIATE_ROWS).max(1)) {
+            let values = regressors(part, row, &rows.force_n[row]);
+            normal.ger(1.0, &values, &values, 1.0);
+            right += &values * rows.field_g[row].transpose();
+            used += 1;
+        }
+    }
+    if own == 0 || used < ROWS_PER_COEFFICIENT * (terms + own) {
+        return None;
+    }
+    for i in terms..terms + own {
+        normal[(i, i)] += RIDGE * used as f64;
+    }
+    let mut coefficients = normal.cholesky()?.solve(&right);
+    coefficients.rows_mut(0, terms).fill(0.0);
+    for (part, rows) in without.parts.iter_mut().enumerate() {
+        for row in 0..rows.field_g.len() {
+            let values = regressors(part, row, &rows.force_n[row]);
+            rows.field_g[row] -= coefficients.tr_mul(&values).fixed_rows::<3>(0);
+        }
+    }
+    Some(without)
+}
+
+/// Covariates of one recording in a fixed order: temperature, those of the gripper (angles as sine and cosine), rates of the forces.
+fn covariate_columns(rows: &RecordingRows) -> Vec<Vec<f64>> {
+    let track = &rows.track;
+    let mut columns = Vec::new();
+    if !track.temperature_c.is_empty() {
+        columns.push(track.temperature_c.clone());
+    }
+    for (name, values) in &track.covariates {
+        if name.ends_with("_rad") {
+            columns.push(values.iter().map(|angle| angle.sin()).collect());
+            columns.push(values.iter().map(|angle| angle.cos()).collect());
+        } else {
+            columns.push(values.clone());
+        }
+    }
+    for axis in 0..2 {
+        columns.push(track.rate_n_per_s.iter().map(|rate| rate[axis]).collect());
+    }
+    columns
 }
 
 fn is_small(forces: usize, degree: usize) -> bool {

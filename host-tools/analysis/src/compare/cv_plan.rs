@@ -63,7 +63,8 @@ impl FoldModel {
 
 impl CvPlan {
     /// Plans the cross-validation of `source`, with new fits if the model was fitted to any of it. `path` names
-    /// the model in messages; `refit` is the fit to all recordings, if known.
+    /// the model in messages; `refit` is the fit to all recordings, if known. The folds are those that a model with the effects
+    /// `compared` needs too, so that the errors of both are of the same rows.
     ///
     /// # Errors
     /// A recording cannot be read.
@@ -72,6 +73,7 @@ impl CvPlan {
         model: &ModelFile,
         source: &CampaignReader,
         refit: Option<(&FitSetup, &JointFit)>,
+        compared: &[EffectTerm],
         options: FitOptions,
     ) -> Result<Self> {
         let unseen = |named: &RecordingId| RecordingFolds {
@@ -86,7 +88,7 @@ impl CvPlan {
         let mut plan =
             Self { models: vec![own], recordings, validation: Validation::UnseenRecordings };
         if !seen.is_empty() {
-            plan.refit(source, &seen, refit, options)?;
+            plan.refit(source, &seen, refit, compared, options)?;
         }
         Ok(plan)
     }
@@ -128,6 +130,7 @@ impl CvPlan {
         source: &CampaignReader,
         seen: &[usize],
         known: Option<(&FitSetup, &JointFit)>,
+        compared: &[EffectTerm],
         options: FitOptions,
     ) -> Result<()> {
         // Ten minutes determine the parameters sufficiently; of more, a uniform subset is used.
@@ -136,9 +139,13 @@ impl CvPlan {
         let campaign = source.campaign(&some)?;
         let (model, additions) = (self.models[0].model.clone(), self.models[0].additions.clone());
         let computed;
-        let (prepared, fit) = match known.filter(|_| some.len() == self.recordings.len()) {
+        let all_effects = [&additions[..], compared].concat();
+        let is_usable = |(setup, fit): &(&FitSetup, &JointFit)| {
+            some.len() == self.recordings.len() && fit.split == setup.split(&all_effects)
+        };
+        let (prepared, fit) = match known.filter(is_usable) {
             Some(known) => known,
-            None => match fit_model(&campaign, &model, &additions, options) {
+            None => match fit_model(&campaign, &model, &additions, &all_effects, options) {
                 Ok(fitted) => {
                     computed = fitted;
                     (&computed.setup, &computed.fit)
@@ -192,16 +199,17 @@ fn fold_models(
     (0..folds).map(|fold| of(&fit.without(fold))).chain([of(fit)]).collect()
 }
 
-/// Fits the base and effects of a model to a campaign.
+/// Fits the base and effects of a model to a campaign, cross-validated as models with `all_effects` need it.
 fn fit_model(
     campaign: &Campaign,
     model: &ModelFile,
     effects: &[EffectTerm],
+    all_effects: &[EffectTerm],
     options: FitOptions,
 ) -> Result<ModelRefit, FitError> {
     let bar = progress::progress_bar("cross-validating", campaign.sensors().len());
     let setup = model.fit_setup(campaign, options)?;
-    let fit = setup.fit(effects, setup.split(effects), options, |_| bar.inc(1))?;
+    let fit = setup.fit(effects, setup.split(all_effects), options, |_| bar.inc(1))?;
     bar.finish_and_clear();
     Ok(ModelRefit { setup, fit })
 }

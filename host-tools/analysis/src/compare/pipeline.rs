@@ -97,10 +97,19 @@ pub fn compare_scanned(
     };
     collect(|notes| {
         let refit = refit.map(|refit| (&refit.setup, &refit.fit));
-        let mut comparison = evaluate(path, model, &source, refit, &findings, options, notes)?;
-        if let Some(other) = other {
-            let model = ModelFile::read(other)?;
-            let evaluated = evaluate(other, &model, &source, None, &findings, options, notes)?;
+        let baseline = match other {
+            Some(other) => Some((other, ModelFile::read(other)?)),
+            None => None,
+        };
+        let of_baseline = match &baseline {
+            Some((path, baseline)) => baseline.effect_terms(path)?,
+            None => Vec::new(),
+        };
+        let how = (&findings[..], options);
+        let mut comparison = evaluate(path, model, &source, refit, &of_baseline, how, notes)?;
+        if let Some((other, baseline)) = &baseline {
+            let effects = model.effect_terms(path)?;
+            let evaluated = evaluate(other, baseline, &source, None, &effects, how, notes)?;
             comparison.other = Some(Box::new(evaluated));
         }
         comparison.findings = findings;
@@ -157,7 +166,8 @@ pub(crate) fn model_findings(
     Ok(findings)
 }
 
-/// Evaluates one model on checked recordings. `refit` is a fit of it to all of them, if known.
+/// Evaluates one model on checked recordings. `refit` is a fit of it to all of them, if known; `compared` are the effects of the
+/// model that it is compared with ([`CvPlan::new`]).
 ///
 /// # Errors
 /// A recording cannot be read, or model and recordings do not match.
@@ -166,15 +176,15 @@ pub(crate) fn evaluate(
     model: &ModelFile,
     source: &CampaignReader,
     refit: Option<(&FitSetup, &JointFit)>,
-    findings: &[Finding],
-    options: FitOptions,
+    compared: &[EffectTerm],
+    (findings, options): (&[Finding], FitOptions),
     notes: &mut Vec<Note>,
 ) -> Result<Comparison> {
     let (fitted_ms, delay_ms) = (model.provenance.delay_ms, 1e-3 * source.alignment.delay_us);
     if fitted_ms != delay_ms {
         notes.push(Note::ComparisonDelay { model: path.to_path_buf(), fitted_ms, delay_ms });
     }
-    let plan = CvPlan::new(path, model, source, refit, options)?;
+    let plan = CvPlan::new(path, model, source, refit, compared, options)?;
     let mut fields = evaluate_fields(&plan, source, notes)?;
     // A finding covers its column in all recordings; notices of that column are not repeated.
     let is_reported = |place: &Location| {

@@ -358,7 +358,7 @@ fn cross_validation(split: CvSplit, seen: usize, refitted: usize, all: usize) ->
             "one recording: each sixth is predicted by a fit to the rest; no claim about other recordings"
         }
         CvSplit::Interleaved => {
-            "the model has a transient effect: every sixth block of 0.25 s is predicted by a fit to the rest"
+            "an effect is transient: every sixth block of 0.25 s is predicted by a fit to the rest"
         }
     };
     let some = if refitted < seen {

@@ -290,7 +290,7 @@ pub fn formula_heading(diagnosis: &Diagnosis, formula: &DiscoveredFormula) -> St
 pub fn formula_evidence(diagnosis: &Diagnosis, formula: &DiscoveredFormula) -> String {
     let floors = formula_floors(diagnosis, formula);
     format!(
-        "No effect of the catalogue has this form. It {} (family-wise p {:.3}), to {floors:.2} times the noise floor. It is a \
+        "No effect of the catalogue explains as much with as few coefficients. It {} (family-wise p {:.3}), to {floors:.2} times the noise floor. It is a \
          formula, not a cause: find what moves with it.",
         reduction(formula.gain),
         formula.p_value

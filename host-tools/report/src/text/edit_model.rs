@@ -165,7 +165,7 @@ fn summary(edit: &ModelEdit) -> String {
     let (old, new) = (edit.before.1.tally(), edit.after.1.tally());
     let (improved, folds) = improved_folds(edit);
     terminal::paragraph(&format!(
-        "Field, all channels: {:.4} G -> {:.4} G, floor {:.4} G. Lower in {} of {} folds.",
+        "Field, all channels: {:.4} G → {:.4} G, floor {:.4} G. Lower in {} of {} folds.",
         old.mean_square().sqrt(),
         new.mean_square().sqrt(),
         new.floor_g(),

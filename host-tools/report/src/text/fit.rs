@@ -147,8 +147,12 @@ fn degree_table(fits: &[PolynomialFit]) -> String {
         table.add_row(labels.into_iter().chain(errors).collect::<Vec<_>>());
     }
     terminal::right_align(&mut table, 2);
+    let compared = match first.tried.len() {
+        0 | 1 => "",
+        _ => ", without what is linear in the covariates",
+    };
     format!(
-        "Held-out error in G by degree of the polynomial; all sensors have the degree that one of them needs\n{table}\n"
+        "Held-out error in G by degree of the polynomial{compared};\nall sensors have the degree that one of them needs\n{table}\n"
     )
 }
 

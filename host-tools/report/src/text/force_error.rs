@@ -35,8 +35,8 @@ pub fn change(before: &ForceError, after: &ForceError) -> String {
 /// Headline of a model before and after a change, on rows that are used like this.
 pub fn change_of(rows: &str, before: &ForceError, after: &ForceError) -> String {
     format!(
-        "Force error ({rows}, device's code, RMS over all forces): {:.3} N -> {:.3} N; noise {:.3} N, excess over noise \
-         {:.3} N -> {:.3} N.",
+        "Force error ({rows}, device's code, RMS over all forces): {:.3} N → {:.3} N; noise {:.3} N, excess over noise \
+         {:.3} N → {:.3} N.",
         before.rms_n,
         after.rms_n,
         after.noise_n,
@@ -73,6 +73,6 @@ mod tests {
         let (before, after) =
             (ForceError { rms_n: 0.5, noise_n: 0.4 }, ForceError { rms_n: 0.39, noise_n: 0.4 });
         assert!(headline(&before).contains("0.500 N; noise 0.400 N, excess over noise 0.300 N"));
-        assert!(change(&before, &after).contains("excess over noise 0.300 N -> 0.000 N"));
+        assert!(change(&before, &after).contains("excess over noise 0.300 N → 0.000 N"));
     }
 }

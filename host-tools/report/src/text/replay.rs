@@ -25,7 +25,7 @@ pub fn format_report(evaluation: &ReplayEvaluation) -> String {
 }
 
 /// Force error of the device code over all recordings.
-pub fn force_table(evaluation: &ReplayEvaluation) -> String {
+fn force_table(evaluation: &ReplayEvaluation) -> String {
     let mut table = terminal::table([
         "sensor",
         "force",
@@ -182,7 +182,7 @@ fn large_error_warning(evaluation: &ReplayEvaluation) -> Option<String> {
 }
 
 /// Errors of simpler models on the same recordings.
-pub fn model_table(evaluation: &ReplayEvaluation) -> String {
+fn model_table(evaluation: &ReplayEvaluation) -> String {
     let mut table = terminal::table([
         "sensor",
         "force",

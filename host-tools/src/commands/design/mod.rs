@@ -76,7 +76,8 @@ A design.toml, lengths in mm; sensor, limits, tolerances and material.NAME are o
   [sensor]                      # range_gauss, gauss_per_lsb, noise_gauss, package_mm
   [limits]                      # stroke_mm, life_cycles, safety
   [tolerances]                  # offset_mm, gap_mm, tilt_deg, remanence
-  [material.\"my steel\"]         # modulus_gpa, yield_mpa, fatigue_coefficient_mpa, fatigue_exponent")]
+  # modulus_gpa, yield_mpa, fatigue_coefficient_mpa, fatigue_exponent
+  [material.\"my steel\"]")]
 struct CheckArgs {
     /// Design file [default: MAGPIE].
     design: Option<PathBuf>,

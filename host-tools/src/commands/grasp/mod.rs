@@ -39,11 +39,12 @@ Examples:
   cargo magpie grasp --port /dev/ttyACM0 --position 20 --uncalibrated
   cargo magpie grasp --can can0 --force 80 --seconds 10
   cargo magpie grasp --can 127.0.0.1:29536 --home --force 80     # `cargo magpie emulate`
-  cargo magpie grasp --port /dev/ttyACM0 --release               # frees what is gripped, also under a fault of the sensors
+  # frees what is gripped, also under a fault of the sensors
+  cargo magpie grasp --port /dev/ttyACM0 --release
   cargo magpie grasp --can can0 --stop
 
-With --port or --can it arms, enables, homes (only with --home) and commands the gripper, and prints state, force and
-opening. Ctrl-C or the end of --seconds releases a grasp or leaves ground contact, and disables the drive: the fingers open
+With --port or --can it arms, enables, homes (only with --home) and commands the gripper, and prints state, force and \
+opening. Ctrl-C or the end of --seconds releases a grasp or leaves ground contact, and disables the drive: the fingers open \
 then. A second Ctrl-C is an emergency stop, after which they do not move."
 )]
 #[command(group = clap::ArgGroup::new("setpoint").required(true).multiple(true)

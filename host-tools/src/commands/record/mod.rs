@@ -52,27 +52,29 @@ Examples:
   cargo magpie record --port /dev/ttyACM0 -o bench/1 --seconds 30 --note 'lateral, by hand'
   cargo magpie record --can can0 --rate 500 -o bench/2
   cargo magpie record --port /dev/ttyACM0 --reference /dev/ttyUSB0 --reference-map load-cell.toml -o bench/3
-  cargo magpie record --port /dev/ttyACM0 --plan plan.toml -o bench/4      # the recording of diagnose --plan
+  # the recording of diagnose --plan
+  cargo magpie record --port /dev/ttyACM0 --plan plan.toml -o bench/4
   cargo magpie record --virtual -o rehearsal/1 --seconds 10 --check    # without hardware
   cargo magpie record --port /dev/ttyACM0 -o bench/5 --mcap bench-5.mcap    # also for Foxglove
 
-Ctrl-C ends the recording. A killed process leaves a valid recording up to the last second. A serial line
+Ctrl-C ends the recording. A killed process leaves a valid recording up to the last second. A serial line \
 carries every tick with the covariates that the board has, a CAN bus at most every second one without them (--rate).
 
 A reference sensor sends lines of numbers; the mapping assigns their columns:
 
-  clock = { column = 1, unit = \"ms\" }                              # optional: the reference's own clock
+  # optional: the reference's own clock
+  clock = { column = 1, unit = \"ms\" }
   columns = [{ column = 2, unit = \"N\", to = \"f0_x_n\", scale = -1 }]
 
-Its clock is aligned with the board's by the loads: vary them, or tap. Without --reference, replace force.csv by the
+Its clock is aligned with the board's by the loads: vary them, or tap. Without --reference, replace force.csv by the \
 reference's table, with t_us from the same start.
 
-Columns mapped to yaw_rad, with or without roll_rad and pitch_rad (rad, deg) and linear_accel_x_mps2, _y_ and _z_ (m/s2,
-g0; gripper axes, without gravity), are the pose of the arm: it is sent to the board at up to 100 Hz and recorded as the
+Columns mapped to yaw_rad, with or without roll_rad and pitch_rad (rad, deg) and linear_accel_x_mps2, _y_ and _z_ (m/s2, \
+g0; gripper axes, without gravity), are the pose of the arm: it is sent to the board at up to 100 Hz and recorded as the \
 board's covariates.
 
---check shows the covered share of each range while recording. At the end it lists the effects on which a diagnosis of this
-recording alone can decide, and what to record for the others. Forces that the reference does not measure are then those
+--check shows the covered share of each range while recording. At the end it lists the effects on which a diagnosis of this \
+recording alone can decide, and what to record for the others. Forces that the reference does not measure are then those \
 that the board estimates, for this list only.")]
 pub struct Args {
     #[command(flatten)]

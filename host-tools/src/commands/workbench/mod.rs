@@ -46,8 +46,8 @@ Examples:
   cargo magpie workbench my-campaign --port /dev/ttyACM0 --reference /dev/ttyUSB0 --reference-map load-cell.toml
   cargo magpie workbench tests/data/demo --virtual          # without hardware
 
-It serves the printed address on this machine only, until Ctrl-C. Only who has the address, which
-contains a random token, can use it. The page shows the commands that do the same. Files are written
+It serves the printed address on this machine only, until Ctrl-C. Only who has the address, which \
+contains a random token, can use it. The page shows the commands that do the same. Files are written \
 relative to this folder; those of this tool are replaced. After a semicolon a formula has the ranges of
 its nonlinear parameters:
 own: dz_um = a*sin(2*pi*opening_mm/p); p=2..5")]
@@ -252,12 +252,14 @@ impl ModelRequest {
     ) -> Result<(&'a Workbench, &'a WorkbenchModel, Option<&'a WorkbenchModel>)> {
         let terms = self.choice.terms(bench)?;
         let baseline = self.baseline.as_ref().map(|choice| choice.terms(bench)).transpose()?;
-        for terms in std::iter::once(&terms).chain(&baseline) {
-            bench.fit_model(terms)?;
+        let of_baseline = baseline.as_deref().unwrap_or_default();
+        bench.fit_model(&terms, of_baseline)?;
+        if baseline.is_some() {
+            bench.fit_model(of_baseline, &terms)?;
         }
         let bench = &*bench;
-        let model = bench.fitted(&terms).context("the model was not fitted")?;
-        Ok((bench, model, baseline.and_then(|terms| bench.fitted(&terms))))
+        let model = bench.fitted(&terms, of_baseline).context("the model was not fitted")?;
+        Ok((bench, model, baseline.as_ref().and_then(|other| bench.fitted(other, &terms))))
     }
 }
 
@@ -307,7 +309,7 @@ async fn diagnose(State(server): State<Server>, Json(request): Json<DiagnosisReq
     let last = server.diagnosis.clone();
     answer(server, move |bench| {
         let terms = request.choice.terms(bench)?;
-        bench.fit_model(&terms)?;
+        bench.fit_model(&terms, &[])?;
         let diagnosis = bench.diagnose(&terms, request.plans)?;
         let answer = pages::diagnosis(&diagnosis);
         *last.lock().unwrap_or_else(PoisonError::into_inner) = Some((request.choice, diagnosis));
@@ -327,7 +329,7 @@ struct ScatterRequest {
 async fn scatter(State(server): State<Server>, Json(request): Json<ScatterRequest>) -> Response {
     answer(server, move |bench| {
         let terms = request.choice.terms(bench)?;
-        bench.fit_model(&terms)?;
+        bench.fit_model(&terms, &[])?;
         let found = bench.scatter(&terms, &request.covariate, &request.interval)?;
         Ok(json!({ "plot": pages::scatter(&found) }))
     })

@@ -509,15 +509,18 @@ impl Draft {
         let forces: Vec<_> = numeric(table, Quantity::Force).collect();
         let groups = column_groups(forces.iter().copied());
         let places: Vec<Option<usize>> =
-            groups.iter().map(|group| sensors.iter().position(|own| own == *group)).collect();
-        let is_named = places.iter().all(Option::is_some);
-        if !is_named {
+            groups.iter().map(|group| sensor_of(group, sensors)).collect();
+        let is_taken_twice =
+            places.iter().enumerate().any(|(i, place)| places[..i].contains(place));
+        let is_only = groups.len() == 1 && sensors.len() == 1;
+        let is_named = !is_taken_twice && places.iter().all(Option::is_some);
+        if !is_named && !is_only {
+            let count =
+                |n: usize, what: &str| format!("{n} {what}{}", if n == 1 { "" } else { "s" });
             self.check(format!(
-                "{} force sensor{} for {} field sensors, assigned in their order: f0 is the force on sensor 0, and so on; correct \
-                 the numbers",
-                groups.len(),
-                if groups.len() == 1 { "" } else { "s" },
-                sensors.len(),
+                "{} for {}, assigned in their order: f0 is the force on sensor 0, and so on; correct the numbers",
+                count(groups.len(), "force sensor"),
+                count(sensors.len(), "field sensor"),
             ));
         }
         for column in forces {
@@ -609,6 +612,18 @@ impl Draft {
             self.ignored.push((column.name.clone(), reason));
         }
     }
+}
+
+/// Index of the sensor whose name is that of a force: the whole name, the number, or a word that no other sensor has.
+fn sensor_of(force: &Group, sensors: &[Group]) -> Option<usize> {
+    let only = |is_own: &dyn Fn(&Group) -> bool| {
+        let mut found = (0..sensors.len()).filter(|&place| is_own(&sensors[place]));
+        found.next().filter(|_| found.next().is_none())
+    };
+    let shares_word = |sensor: &Group| sensor.0.iter().any(|word| force.0.contains(word));
+    only(&|sensor| sensor == force)
+        .or_else(|| only(&|sensor| sensor.1.is_some() && sensor.1 == force.1))
+        .or_else(|| only(&|sensor| sensor.1 == force.1 && shares_word(sensor)))
 }
 
 /// The axis with the strongest field at every sensor, if there is one.

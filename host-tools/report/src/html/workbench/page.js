@@ -100,7 +100,7 @@
     if (!shown.present.length) at("present").append(element("li", { className: "note", textContent: "No effects: the base physics alone." }));
     const candidates = shown.candidates.map((one) => {
       const fall = `\u2212${(100 * Math.max(0, one.gain)).toFixed(1)} %`;
-      const verdict = one.is_significant ? `significant, p ${one.p.toFixed(3)}` : `not significant, p ${one.p.toFixed(2)}`;
+      const verdict = one.is_significant ? `significant, p ${one.p.toFixed(3)}` : one.p < 0.05 ? `small, or not lower in every fold; p ${one.p.toFixed(3)}` : `not significant, p ${one.p.toFixed(2)}`;
       const item = choice(one.name, fall, `${one.title}; ${verdict}`, () => go({ effects: [...effects, one.name], formulas }));
       item.dataset.effect = one.name;
       item.title = one.physics;
