@@ -20,6 +20,7 @@ use model_export::inverse::codegen::{MARK, tables_source};
 use model_export::model_file::{BaseKind, ModelFile};
 use model_export::output::write_output;
 use model_export::recordings::align::Alignment;
+use model_export::recordings::campaign::recording_folders;
 use report::text;
 use report::text::diagnosis::format_summary;
 use report::text::terminal;
@@ -58,6 +59,9 @@ pub fn run(args: &Args) -> Result<()> {
     let own = Path::new(CAMPAIGN);
     let default = if own.is_dir() { own } else { &of_build };
     let folder = args.campaign.as_deref().unwrap_or(default);
+    if recording_folders(folder)?.len() < 2 {
+        bail!("{}: the demo needs two recordings, one to predict from the other", folder.display());
+    }
     std::fs::create_dir_all(&args.output)
         .with_context(|| format!("{} cannot be made", args.output.display()))?;
     let model_path = args.output.join("model.toml");
@@ -67,9 +71,6 @@ pub fn run(args: &Args) -> Result<()> {
     base.model.write(&model_path)?;
     let (campaign, model) = (&base.campaign, &base.model);
     let count = campaign.recordings.len();
-    if count < 2 {
-        bail!("{}: the demo needs two recordings, one to predict from the other", folder.display());
-    }
     terminal::print(&terminal::paragraph(&format!(
         "Recorded: {count} recordings of {:.0} s of a gripper on a (simulated) bench, {} Hall sensors at 1 kHz, force reference at \
          100 Hz. What the base model misses is not known to the tool.",

@@ -47,6 +47,18 @@ fn demo_finds_a_formula_and_reduces_the_error_to_a_fifth() {
         assert!(line.chars().count() <= 100 || line.contains("MAGPIE_TABLES"), "{line}");
     }
     assert_eq!(files(&dir), ["better-1.toml", "model.toml", "report.html", "tables.rs"]);
+    // The commands print the same numbers.
+    let diagnosis = dir.json(&format!("diagnose model.toml {} --json", campaign("ripple")));
+    for (step, (_, [excess, error, noise])) in
+        diagnosis["staircase"].as_array().unwrap().iter().zip(&errors)
+    {
+        for (key, shown) in [("excess_n", excess), ("rms_n", error), ("noise_n", noise)] {
+            assert!(
+                (step["force"][key].as_f64().unwrap() - shown).abs() < 0.0006,
+                "{step} {shown}"
+            );
+        }
+    }
     // The tables are those of the last model.
     let tables = std::fs::read_to_string(dir.path("tables.rs")).unwrap();
     assert!(tables.starts_with(MARK) && tables.contains("formula_1"));
@@ -84,7 +96,9 @@ fn demo_without_missing_effects_says_so() {
 }
 
 #[test]
-fn demo_refuses_fewer_than_three_recordings() {
-    let message = WorkDir::empty().failure(&["demo", &campaign("demo/1")]);
-    assert!(message.contains("1 recordings") && message.contains("needs three"), "{message}");
+fn demo_refuses_one_recording_before_it_writes() {
+    let dir = WorkDir::empty();
+    let message = dir.failure(&["demo", &campaign("demo/1")]);
+    assert!(message.contains("needs two recordings"), "{message}");
+    assert!(files(&dir).is_empty());
 }
