@@ -10,7 +10,7 @@ use model_export::recordings::DataError;
 use model_export::recordings::align::Alignment;
 use model_export::recordings::csv_table::{CellRule, CsvRow, CsvTable};
 use model_export::recordings::description::RecordingDescription;
-use model_export::recordings::mcap::{EstimatedForce, RecordingMcap};
+use model_export::recordings::mcap::{EstimatedForce, RecordingMcap, TopicColumns};
 use model_export::recordings::stream::RawStream;
 
 use crate::ReplayModels;
@@ -67,8 +67,9 @@ pub fn write_recording(
     let mut force = Rows::open(folder, "force.csv")?;
     let rows = models.rows(RawStream::open(folder, &description, alignment)?);
     let sensors: Vec<u32> = rows.sensors().iter().map(|channels| channels.number).collect();
-    let mut file =
-        RecordingMcap::create(target, &description, &hall.names, &force.names, &sensors, &[])?;
+    let columns =
+        TopicColumns { hall: &hall.names, force: &force.names, sensors: &sensors, state: &[] };
+    let mut file = RecordingMcap::create(target, &description, columns)?;
     let compensations: Vec<Compensation> = models.compensation_views();
     let tables = models.tables.tables(&compensations);
     let mut estimator = Estimator::new(&tables, models.networks.map(NetworkSet::start));

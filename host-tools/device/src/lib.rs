@@ -12,15 +12,18 @@
 //! - [`params_client`]: reading and writing parameters.
 //! - [`state`]: latest state of a gripper, recent forces, extended board clock.
 //! - [`view`], [`mod@format`]: the state on a terminal, as a line of text, as JSON.
+//! - [`board_topics`], [`foxglove`]: what the board sends as topics of an MCAP file, and live for Foxglove.
 //! - [`csv_writer`]: CSV output that is valid whenever the process is killed.
 //! - [`mod@reference`]: reference force sensor next to the gripper.
 //! - [`recorder`]: assembly of rows, writing of a recording, and the ranges that it covers.
 
+pub mod board_topics;
 pub mod calibration_client;
 pub mod csv_writer;
 #[cfg(unix)]
 pub mod emulation;
 pub mod format;
+pub mod foxglove;
 pub mod key_file;
 pub mod params_client;
 #[cfg(unix)]

@@ -1,6 +1,7 @@
 //! `magpie monitor`: live display of a running gripper.
 
 use std::io::{ErrorKind, IsTerminal, Write, stdout};
+use std::net::SocketAddr;
 use std::sync::atomic::Ordering::Relaxed;
 use std::sync::mpsc::RecvTimeoutError;
 use std::time::Duration;
@@ -13,6 +14,7 @@ use ratatui::crossterm::event::{self, Event, KeyCode, KeyModifiers};
 use crate::commands::connection::{
     GripperArgs, check_protocol, interrupted, parse_seconds, print_unprotected,
 };
+use device::foxglove::FoxgloveServer;
 use device::reader::{ReaderEvent, SourceReader};
 use device::state::GripperState;
 use device::{format, view};
@@ -28,6 +30,8 @@ Examples:
   cargo magpie monitor --virtual    # without hardware
   cargo magpie monitor --virtual --unplug 2@5 --seconds 10 | cat
   cargo magpie monitor --port /dev/ttyACM0 --json | jq '.sensors[0].fx_n'
+  # for Foxglove: open ws://127.0.0.1:8765, import the layout host-tools/foxglove/gripper.json
+  cargo magpie monitor --port /dev/ttyACM0 --foxglove
 
 On a terminal it draws a live view (q quits), otherwise it prints one line per second. --json prints ten objects \
 per second: newtons, seconds since the start of the command (time_s) and of the board (board_s). Standard \
@@ -38,6 +42,10 @@ pub struct Args {
     /// End after this time.
     #[arg(long, value_name = "S", value_parser = parse_seconds)]
     seconds: Option<f64>,
+    /// Serve readings, estimates, covariates and state to Foxglove too, over its WebSocket protocol, at this address
+    /// [default: 127.0.0.1:8765]; the topics are those of `record --mcap`.
+    #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:8765")]
+    foxglove: Option<SocketAddr>,
     /// Print one JSON object per line on stdout and nothing else.
     #[arg(long)]
     json: bool,
@@ -54,15 +62,19 @@ pub fn run(args: &Args) -> Result<()> {
     // Requests the version; a listen-only connection still receives data.
     let _ = source.send(service(op::VERSION, 0));
     let name = source.name();
+    let mut server = args.foxglove.map(|at| FoxgloveServer::start(&name, at)).transpose()?;
+    if let (Some(server), Some(at)) = (&server, args.foxglove) {
+        eprintln!("Foxglove: open the connection ws://{}:{}", at.ip(), server.port());
+    }
     let hearing = SourceReader::start(source);
     let end_s = args.seconds.unwrap_or(f64::INFINITY);
     let result = match (args.json, stdout().is_terminal()) {
-        (true, _) => watch(&hearing, end_s, OBJECT_S, |state, now_s| {
+        (true, _) => watch(&hearing, &mut server, end_s, OBJECT_S, |state, now_s| {
             print(&format::state_json(state, now_s).to_string())
         }),
         (false, true) => {
             let mut terminal = ratatui::try_init()?;
-            let result = watch(&hearing, end_s, DRAW_S, |state, now_s| {
+            let result = watch(&hearing, &mut server, end_s, DRAW_S, |state, now_s| {
                 draw(&mut terminal, &name, state, now_s)
             });
             ratatui::restore();
@@ -70,7 +82,9 @@ pub fn run(args: &Args) -> Result<()> {
         }
         (false, false) => {
             print(&format::status_header())?;
-            watch(&hearing, end_s, LINE_S, |state, now_s| print(&format::status_line(state, now_s)))
+            watch(&hearing, &mut server, end_s, LINE_S, |state, now_s| {
+                print(&format::status_line(state, now_s))
+            })
         }
     };
     hearing.stop()?;
@@ -89,9 +103,10 @@ pub fn run(args: &Args) -> Result<()> {
     Ok(())
 }
 
-/// Calls `show` periodically until the time limit, Ctrl-C, `show` returning false, or the end of the stream.
+/// Publishes packets on the `server`, and calls `show` periodically until the time limit, Ctrl-C, `show` returning false, or the end of the stream.
 fn watch(
     hearing: &SourceReader,
+    server: &mut Option<FoxgloveServer>,
     end_s: f64,
     period_s: f64,
     mut show: impl FnMut(&GripperState, f64) -> Result<bool>,
@@ -114,7 +129,12 @@ fn watch(
         match hearing.news.recv_timeout(Duration::from_secs_f64(wait_s)) {
             Ok(ReaderEvent::Packets { at_s, packets, broken }) => {
                 state.lost.broken = broken;
-                packets.iter().for_each(|packet| state.update(at_s, packet));
+                for packet in &packets {
+                    state.update(at_s, packet);
+                    if let Some(server) = server {
+                        server.publish(at_s, packet, &state)?;
+                    }
+                }
                 check_protocol(&state)?;
             }
             Ok(ReaderEvent::Failed(error)) => return Err(error),

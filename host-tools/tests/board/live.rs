@@ -1,7 +1,7 @@
 //! A gripper watched and recorded while it runs, as a user meets it: the virtual board behind its line.
 
 use std::fs::File;
-use std::io::{Read, Write};
+use std::io::{BufRead, BufReader, Read, Write};
 use std::path::Path;
 use std::time::Duration;
 
@@ -22,10 +22,13 @@ use model_export::recordings::align::Alignment;
 use model_export::recordings::description::RecordingDescription;
 use model_export::recordings::stream::RawStream;
 use rustix::process::Signal;
-use serde_json::Value;
+use serde_json::{Value, json};
 use sim::board::world::PressedWorld;
 use sim::board::{Program, VirtualTimeBoard};
 use tests::data;
+use tungstenite::Message as WebSocketMessage;
+use tungstenite::client::IntoClientRequest;
+use tungstenite::http::HeaderValue;
 
 use crate::workdir::WorkDir;
 use crate::workdir::running::Running;
@@ -68,6 +71,80 @@ fn force_is_reported_within_its_noise_until_the_reader_ends() {
     assert!(last["load"]["worst_tick_us"].as_u64() > Some(200));
     // The objects' reader is gone.
     assert!(monitor.0.wait().unwrap().success());
+}
+
+/// Messages of one topic of the server at this address, as its channels describe them, until `count` have been received.
+fn foxglove_messages(address: &str, topic: &str, count: usize) -> (Vec<Value>, Vec<Vec<f64>>) {
+    let mut request = address.into_client_request().unwrap();
+    let protocol = HeaderValue::from_static("foxglove.sdk.v1");
+    request.headers_mut().insert("Sec-WebSocket-Protocol", protocol);
+    let (mut socket, _) = tungstenite::connect(request).unwrap();
+    let mut channels: Vec<Value> = Vec::new();
+    let mut messages = Vec::new();
+    while messages.len() < count {
+        match socket.read().unwrap() {
+            WebSocketMessage::Text(text) => {
+                let message: Value = serde_json::from_str(&text).unwrap();
+                if message["op"] != "advertise" {
+                    continue;
+                }
+                channels.extend(message["channels"].as_array().unwrap().iter().cloned());
+                let Some(channel) = channels.iter().find(|channel| channel["topic"] == topic) else {
+                    continue;
+                };
+                let subscription = json!({ "id": 7, "channelId": channel["id"] });
+                let text = json!({ "op": "subscribe", "subscriptions": [subscription] });
+                socket.send(WebSocketMessage::text(text.to_string())).unwrap();
+            }
+            WebSocketMessage::Binary(data) if data.first() == Some(&1) => {
+                // Subscription, nanoseconds, then the message: four bytes of CDR's header and numbers.
+                assert_eq!(u32::from_le_bytes(data[1..5].try_into().unwrap()), 7);
+                let numbers = data[17..].chunks_exact(8);
+                let numbers = numbers.map(|bytes| f64::from_le_bytes(bytes.try_into().unwrap()));
+                messages.push(numbers.collect());
+            }
+            _ => {}
+        }
+    }
+    (channels, messages)
+}
+
+#[test]
+fn foxglove_receives_every_tick_and_the_layout_shows_existing_topics() {
+    let dir = WorkDir::empty();
+    let line = "monitor --virtual --press 20,-10 --foxglove 127.0.0.1:0 --json";
+    let mut monitor = Running::start(&dir, line);
+    let mut text = BufReader::new(monitor.0.stderr.take().unwrap()).lines();
+    let address = text.find_map(|line| Some(line.unwrap().split_once("connection ")?.1.to_owned()));
+    let (channels, messages) = foxglove_messages(&address.unwrap(), "/estimate", 2000);
+    let fields = |topic: &str| -> Vec<String> {
+        let channel = channels.iter().find(|channel| channel["topic"] == topic);
+        let channel = channel.unwrap_or_else(|| panic!("{topic}: {channels:?}"));
+        assert_eq!((&channel["encoding"], &channel["schemaEncoding"]), (&json!("cdr"), &json!("ros2msg")));
+        let lines = channel["schema"].as_str().unwrap().lines();
+        lines.map(|line| line.split(' ').nth(1).unwrap().to_owned()).collect()
+    };
+    let of_estimate = fields("/estimate");
+    for (name, expected) in [("f0_x_n", 20.0), ("f3_x_n", -20.0), ("f1_z_n", -10.0)] {
+        let place = of_estimate.iter().position(|field| field == name).unwrap();
+        let values: Vec<f64> = messages.iter().map(|numbers| numbers[place]).collect();
+        // The first ticks are those of the start.
+        let values = &values[1000..];
+        let mean = values.iter().sum::<f64>() / values.len() as f64;
+        assert!((mean - expected).abs() < 0.7, "{name}: {mean}");
+    }
+    let layout = std::fs::read_to_string(data("../../host-tools/foxglove/gripper.json")).unwrap();
+    let layout: Value = serde_json::from_str(&layout).unwrap();
+    let panels = layout["configById"].as_object().unwrap().values();
+    let mut paths = panels.flat_map(|panel| panel["paths"].as_array().unwrap());
+    let is_live = |path: &&Value| !path["value"].as_str().unwrap().starts_with("/reference");
+    let mut count = 0;
+    while let Some(path) = paths.find(is_live) {
+        let (topic, field) = path["value"].as_str().unwrap().split_once('.').unwrap();
+        assert!(fields(topic).iter().any(|own| own == field), "{topic}.{field}");
+        count += 1;
+    }
+    assert!(count > 30, "{count}");
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! Assembly of packets to rows, and writing of a recording whose folder is valid from its creation, even if the process
 //! is killed.
 
+use crate::board_topics::BoardTopics;
 use crate::csv_writer::PagedWriter;
 use crate::format::degrees;
 use crate::state::BoardClock;
@@ -13,17 +14,16 @@ use firmware::fixed_point::Force;
 use firmware::protocol::messages::{HallRaw, Message};
 use firmware::protocol::serial::Packet;
 use firmware::sensors::hall::{HallReading, SENSORS};
-use mcap::McapOutput;
 use model_export::output::{StagingDir, check_vacant};
 use model_export::recordings::columns::COVARIATES;
 use model_export::recordings::description::RecordingDescription;
+use model_export::recordings::mcap::{EstimatedForce, McapWriter, RecordingMcap};
 use sim::campaign::recording::{force_columns, sensor_columns};
 use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
 
 mod coverage;
-mod mcap;
 
 /// Time in microseconds in which the connected sensors are determined.
 const LOOK_US: u64 = 200_000;
@@ -79,7 +79,9 @@ pub struct Recorder {
     flushed_us: u64,
     reference_us: u64,
     tally: RecordingCounts,
-    mcap: Option<McapOutput>,
+    /// MCAP file that is written alongside, created with the first rows.
+    mcap_path: Option<PathBuf>,
+    mcap: Option<BoardTopics<McapWriter>>,
 }
 
 impl Recorder {
@@ -109,6 +111,7 @@ impl Recorder {
             flushed_us: 0,
             reference_us: 0,
             tally: RecordingCounts::default(),
+            mcap_path: None,
             mcap: None,
         })
     }
@@ -121,7 +124,7 @@ impl Recorder {
         if path.exists() {
             bail!("{} exists; choose another file", path.display());
         }
-        Ok(Self { mcap: Some(McapOutput::new(path)), ..self })
+        Ok(Self { mcap_path: Some(path.to_path_buf()), ..self })
     }
 
     /// Adds a message on the state of the board to the MCAP file.
@@ -129,7 +132,7 @@ impl Recorder {
     /// # Errors
     /// Writing failed.
     pub fn take_message(&mut self, message: &Message) -> Result<()> {
-        let time_us = self.last_us;
+        let time_us = self.last_us as f64;
         self.mcap.as_mut().map_or(Ok(()), |mcap| mcap.message(time_us, message))
     }
 
@@ -211,7 +214,9 @@ impl Recorder {
             });
             self.or_cut(finished)?;
         }
-        self.mcap.map_or(Ok(()), McapOutput::finish)?;
+        if let Some(mcap) = self.mcap {
+            mcap.into_inner().finish()?;
+        }
         self.tally.span_us = self.last_us;
         Ok(self.tally)
     }
@@ -264,13 +269,16 @@ impl Recorder {
         )
         .with_context(unwritable)?;
         self.tables = Some(tables);
-        if let Some(mcap) = &mut self.mcap {
+        if let Some(path) = &self.mcap_path {
             let numbers = || sensors.iter().map(|sensor| *sensor as u32);
             let covariates = self.tally.covariates.iter().map(|name| (*name).to_owned());
             let hall: Vec<String> = numbers().flat_map(sensor_columns).chain(covariates).collect();
             let force = self.reference.clone();
             let force = force.unwrap_or_else(|| force_columns(numbers()).split_off(1));
-            mcap.begin(&self.description, &hall, &force, &sensors)?;
+            let topics = BoardTopics::new(&hall, &force, &sensors, |columns| {
+                Ok(RecordingMcap::create(path, &self.description, columns)?)
+            });
+            self.mcap = Some(topics?);
         }
         self.tally.sensors = sensors;
         self.covariates = covariates;
@@ -328,8 +336,9 @@ impl Recorder {
             written = written.and_then(|()| tables.force.line(&format!("{}{empty}", row.time_us)));
         }
         self.or_cut(written)?;
+        let estimates = row.force_n.map(|force_n| EstimatedForce { force_n, sigma_n: None });
         let mcap = self.mcap.as_mut();
-        mcap.map_or(Ok(()), |mcap| mcap.row(row.time_us, &numbers, &row.force_n))
+        mcap.map_or(Ok(()), |mcap| mcap.row(row.time_us as f64, &numbers, &estimates))
     }
 
     /// Removes a partial line after a failed write.

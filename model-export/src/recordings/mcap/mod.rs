@@ -21,8 +21,9 @@ use crate::input::{self, check_recording_values};
 use crate::recordings::csv_table::GAP_STEPS;
 use crate::recordings::error::{DataError, ErrorKind, Location, closest_match};
 use decode::Decoder;
-pub use recording::{EstimatedForce, RecordingMcap, StateTopic};
+pub use recording::{EstimatedForce, RecordingMcap, RecordingTopics, StateTopic, TopicColumns};
 use writer::{MAPPING_KEY, UNITS_KEY};
+pub use writer::{MESSAGE_ENCODING, McapWriter, NumberTopic, SCHEMA_ENCODING, TopicSink};
 
 /// Longest record of a file; recorders write chunks of about 1 MB.
 const MAX_RECORD_BYTES: usize = 256 << 20;

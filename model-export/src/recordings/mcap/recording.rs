@@ -1,4 +1,5 @@
-//! A recording as an MCAP file: the board's readings and covariates, the reference, and what the device estimates.
+//! The topics of a recording: the board's readings and covariates, the reference, and what the device estimates; in an MCAP file,
+//! or live.
 
 use std::io;
 use std::path::Path;
@@ -7,7 +8,7 @@ use crate::recordings::description::RecordingDescription;
 use crate::recordings::error::{DataError, ErrorKind, Location};
 use crate::recordings::mapping::{ClockMapping, ColumnMapping, Mapping, TableMapping};
 use crate::recordings::mcap::LOG_TIME;
-use crate::recordings::mcap::writer::{McapWriter, TopicId};
+use crate::recordings::mcap::writer::{McapWriter, NumberTopic, TopicSink};
 use crate::recordings::units::{UNITS, column_unit};
 
 /// Topic of the board's rows, with the columns of `hall.csv`.
@@ -37,59 +38,105 @@ pub struct EstimatedForce {
     pub sigma_n: Option<[f64; 2]>,
 }
 
-/// Writer of one recording.
-pub struct RecordingMcap {
-    writer: McapWriter,
-    board: TopicId,
-    reference: TopicId,
-    estimate: TopicId,
-    state: Vec<TopicId>,
-    /// Start of the recording in the campaign.
+/// The topics of one recording, and where they are written.
+pub struct RecordingTopics<S: TopicSink> {
+    sink: S,
+    board: S::Id,
+    reference: Option<S::Id>,
+    estimate: S::Id,
+    state: Vec<S::Id>,
+    /// Start of the recording on the clock of the messages.
     start_us: f64,
 }
 
+/// A recording as an MCAP file.
+pub type RecordingMcap = RecordingTopics<McapWriter>;
+
+/// What the topics of a recording hold.
+#[derive(Clone, Copy, Debug)]
+pub struct TopicColumns<'a> {
+    /// Columns of the board's table, without `t_us`.
+    pub hall: &'a [String],
+    /// Columns of the reference's table, without `t_us`; empty without a reference.
+    pub force: &'a [String],
+    /// Sensors with an estimate.
+    pub sensors: &'a [u32],
+    /// Topics of the device's state.
+    pub state: &'a [StateTopic<'a>],
+}
+
 impl RecordingMcap {
-    /// Creates the file. `hall` and `force` are the columns of the two tables without `t_us`, `sensors` those with an
-    /// estimate.
+    /// Creates the file.
     ///
     /// # Errors
     /// It exists or cannot be created.
     pub fn create(
         path: &Path,
         description: &RecordingDescription,
-        hall: &[String],
-        force: &[String],
-        sensors: &[u32],
-        state: &[StateTopic],
+        columns: TopicColumns,
     ) -> Result<Self, DataError> {
-        let mut writer = McapWriter::create(path)?;
-        let mapping = mapping(path, description, hall, force)?;
-        let board = writer.add_topic(BOARD, "Board", &with_units(hall), Some(&mapping))?;
-        let reference = writer.add_topic(REFERENCE, "Reference", &with_units(force), None)?;
+        let mapping = mapping(path, description, columns.hall, columns.force)?;
+        let writer = McapWriter::create(path)?;
+        Self::new(writer, columns, Some(&mapping), 1e6 * description.start_s)
+    }
+
+    /// Completes the file.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn finish(self) -> Result<(), DataError> {
+        self.sink.finish()
+    }
+}
+
+impl<S: TopicSink> RecordingTopics<S> {
+    /// Adds the topics to `sink`; a file states the `mapping` with which it is imported.
+    ///
+    /// # Errors
+    /// The sink cannot be written; so for the methods.
+    pub fn new(
+        mut sink: S,
+        columns: TopicColumns,
+        mapping: Option<&str>,
+        start_us: f64,
+    ) -> Result<Self, DataError> {
+        let TopicColumns { hall, force, sensors, state } = columns;
+        let board = sink.add_topic(NumberTopic::new(BOARD, "Board", &with_units(hall), mapping))?;
+        let reference = match force {
+            [] => None,
+            _ => {
+                let topic = NumberTopic::new(REFERENCE, "Reference", &with_units(force), None);
+                Some(sink.add_topic(topic)?)
+            }
+        };
         let of_sensor = |number: &u32| {
             ["x_n", "z_n", "x_sigma_n", "z_sigma_n"].map(|part| format!("f{number}_{part}"))
         };
         let estimates: Vec<String> = sensors.iter().flat_map(of_sensor).collect();
-        let estimate = writer.add_topic(ESTIMATE, "Estimate", &with_units(&estimates), None)?;
+        let estimates = NumberTopic::new(ESTIMATE, "Estimate", &with_units(&estimates), None);
+        let estimate = sink.add_topic(estimates)?;
         let topic = |topic: &StateTopic| {
-            writer.add_topic(&format!("{STATE}/{}", topic.name), topic.name, &topic.signals, None)
+            let name = format!("{STATE}/{}", topic.name);
+            sink.add_topic(NumberTopic::new(&name, topic.name, &topic.signals, None))
         };
         let state = state.iter().map(topic).collect::<Result<_, _>>()?;
-        let start_us = 1e6 * description.start_s;
-        Ok(Self { writer, board, reference, estimate, state, start_us })
+        Ok(Self { sink, board, reference, estimate, state, start_us })
     }
 
     /// Writes a row of the board; times are those of the recording.
     ///
     /// # Errors
-    /// The file cannot be written; so for the other topics.
+    /// The sink cannot be written.
     pub fn board(&mut self, time_us: f64, values: &[f64]) -> Result<(), DataError> {
-        self.writer.write(&mut self.board, self.start_us + time_us, values)
+        self.sink.write(&mut self.board, self.start_us + time_us, values)
     }
 
     /// Writes a row of the reference; NaN for a force that was not measured.
     pub fn reference(&mut self, time_us: f64, force_n: &[f64]) -> Result<(), DataError> {
-        self.writer.write(&mut self.reference, self.start_us + time_us, force_n)
+        match &mut self.reference {
+            Some(topic) => self.sink.write(topic, self.start_us + time_us, force_n),
+            None => Ok(()),
+        }
     }
 
     /// Writes the estimates of the sensors of the file.
@@ -104,23 +151,15 @@ impl RecordingMcap {
             [x, z, sigma_x, sigma_z]
         });
         let values: Vec<f64> = values.collect();
-        self.writer.write(&mut self.estimate, self.start_us + time_us, &values)
+        self.sink.write(&mut self.estimate, self.start_us + time_us, &values)
     }
 
     /// Writes a message of the state topic with this index.
     pub fn state(&mut self, topic: usize, time_us: f64, values: &[f64]) -> Result<(), DataError> {
         match self.state.get_mut(topic) {
-            Some(topic) => self.writer.write(topic, self.start_us + time_us, values),
+            Some(topic) => self.sink.write(topic, self.start_us + time_us, values),
             None => Ok(()),
         }
-    }
-
-    /// Completes the file.
-    ///
-    /// # Errors
-    /// The file cannot be written.
-    pub fn finish(self) -> Result<(), DataError> {
-        self.writer.finish()
     }
 }
 

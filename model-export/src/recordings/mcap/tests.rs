@@ -141,7 +141,8 @@ fn recording_round_trips_bit_by_bit() {
     let [hall, force] =
         [["s0_x_lsb", "opening_mm"], ["f0_x_n", "f0_z_n"]].map(|names| names.map(str::to_owned));
     let state = [StateTopic { name: "Power", signals: vec![("bus", "V"), ("counter", "")] }];
-    let mut file = RecordingMcap::create(&path, &description, &hall, &force, &[0], &state).unwrap();
+    let columns = TopicColumns { hall: &hall, force: &force, sensors: &[0], state: &state };
+    let mut file = RecordingMcap::create(&path, &description, columns).unwrap();
     file.board(1000.0, &[-97.0, 0.1 + 0.2]).unwrap();
     file.reference(1000.0, &[f64::NAN, -0.0]).unwrap();
     let estimate = EstimatedForce { force_n: Some([1.0 / 3.0, 2.0]), sigma_n: None };

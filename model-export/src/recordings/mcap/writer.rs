@@ -1,4 +1,4 @@
-//! Writer of MCAP files: topics of numbers as ROS 2 messages of 64-bit floating-point fields, with the unit of each.
+//! Topics of numbers as ROS 2 messages of 64-bit floating-point fields, with the unit of each, and the writer of MCAP files.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -16,6 +16,79 @@ pub const MAPPING_KEY: &str = "magpie.mapping";
 
 /// Header of a message in plain CDR, little-endian; its fields of 8 bytes need no padding.
 const CDR_LITTLE_ENDIAN: [u8; 4] = [0, 1, 0, 0];
+
+/// Encoding of the messages, and of their schemas.
+pub const MESSAGE_ENCODING: &str = "cdr";
+/// See [`MESSAGE_ENCODING`].
+pub const SCHEMA_ENCODING: &str = "ros2msg";
+
+/// A topic of numbers.
+#[derive(Clone, Debug, PartialEq)]
+pub struct NumberTopic {
+    /// Name.
+    pub topic: String,
+    /// Name of its message type.
+    pub message: String,
+    /// Definition of its message type, with the units as comments.
+    pub schema: String,
+    /// Units, and the mapping with which a file is imported.
+    pub metadata: BTreeMap<String, String>,
+}
+
+impl NumberTopic {
+    /// A topic of numbers with these names and units; `message` is the name of its type.
+    pub fn new(
+        topic: &str,
+        message: &str,
+        numbers: &[(&str, &str)],
+        mapping: Option<&str>,
+    ) -> Self {
+        let field = |(name, unit): &(&str, &str)| match *unit {
+            "" => format!("float64 {name}\n"),
+            unit => format!("float64 {name} # {unit}\n"),
+        };
+        let units = numbers.iter().filter(|(_, unit)| !unit.is_empty());
+        let units = units.map(|(name, unit)| format!("{name}={unit}"));
+        let mut metadata =
+            BTreeMap::from([(UNITS_KEY.to_owned(), units.collect::<Vec<_>>().join(","))]);
+        metadata.extend(mapping.map(|mapping| (MAPPING_KEY.to_owned(), mapping.to_owned())));
+        Self {
+            topic: topic.to_owned(),
+            message: format!("magpie_msgs/msg/{message}"),
+            schema: numbers.iter().map(field).collect(),
+            metadata,
+        }
+    }
+
+    /// Content of a message.
+    pub fn encode(values: &[f64]) -> Vec<u8> {
+        let values = values.iter().flat_map(|value| value.to_le_bytes());
+        CDR_LITTLE_ENDIAN.into_iter().chain(values).collect()
+    }
+}
+
+/// Where messages of topics go: a file, or a server.
+pub trait TopicSink {
+    /// Handle of a topic.
+    type Id;
+
+    /// Adds a topic.
+    ///
+    /// # Errors
+    /// The sink cannot be written.
+    fn add_topic(&mut self, topic: NumberTopic) -> Result<Self::Id, DataError>;
+
+    /// Writes a message with the numbers of its topic.
+    ///
+    /// # Errors
+    /// The sink cannot be written.
+    fn write(
+        &mut self,
+        topic: &mut Self::Id,
+        time_us: f64,
+        values: &[f64],
+    ) -> Result<(), DataError>;
+}
 
 /// A topic of an [`McapWriter`].
 #[derive(Clone, Debug)]
@@ -47,48 +120,33 @@ impl McapWriter {
         Ok(Self { path: path.to_path_buf(), writer })
     }
 
-    /// Adds a topic of numbers with their names and units; `message` is the name of its type.
+    /// Completes the file.
     ///
     /// # Errors
     /// The file cannot be written.
-    pub fn add_topic(
-        &mut self,
-        topic: &str,
-        message: &str,
-        numbers: &[(&str, &str)],
-        mapping: Option<&str>,
-    ) -> Result<TopicId, DataError> {
-        let field = |(name, unit): &(&str, &str)| match *unit {
-            "" => format!("float64 {name}\n"),
-            unit => format!("float64 {name} # {unit}\n"),
-        };
-        let schema: String = numbers.iter().map(field).collect();
+    pub fn finish(mut self) -> Result<(), DataError> {
+        self.writer.finish().map(drop).map_err(|error| unwritable(&self.path, error))
+    }
+}
+
+impl TopicSink for McapWriter {
+    type Id = TopicId;
+
+    fn add_topic(&mut self, topic: NumberTopic) -> Result<TopicId, DataError> {
+        let NumberTopic { topic, message, schema, metadata } = topic;
         let failed = |error| unwritable(&self.path, error);
-        let schema = self
-            .writer
-            .add_schema(&format!("magpie_msgs/msg/{message}"), "ros2msg", schema.as_bytes())
-            .map_err(failed)?;
-        let units = numbers.iter().filter(|(_, unit)| !unit.is_empty());
-        let units = units.map(|(name, unit)| format!("{name}={unit}"));
-        let mut metadata =
-            BTreeMap::from([(UNITS_KEY.to_owned(), units.collect::<Vec<_>>().join(","))]);
-        metadata.extend(mapping.map(|mapping| (MAPPING_KEY.to_owned(), mapping.to_owned())));
-        let channel = self.writer.add_channel(schema, topic, "cdr", &metadata).map_err(failed)?;
-        Ok(TopicId { channel, sequence: 0 })
+        let schema =
+            self.writer.add_schema(&message, SCHEMA_ENCODING, schema.as_bytes()).map_err(failed)?;
+        let channel = self.writer.add_channel(schema, &topic, MESSAGE_ENCODING, &metadata);
+        Ok(TopicId { channel: channel.map_err(failed)?, sequence: 0 })
     }
 
-    /// Writes a message with the numbers of its topic.
-    ///
-    /// # Errors
-    /// The file cannot be written.
-    pub fn write(
+    fn write(
         &mut self,
         topic: &mut TopicId,
         time_us: f64,
         values: &[f64],
     ) -> Result<(), DataError> {
-        let mut content = CDR_LITTLE_ENDIAN.to_vec();
-        content.extend(values.iter().flat_map(|value| value.to_le_bytes()));
         let time_ns = (1e3 * time_us).round().max(0.0) as u64;
         let header = MessageHeader {
             channel_id: topic.channel,
@@ -98,16 +156,8 @@ impl McapWriter {
         };
         topic.sequence = topic.sequence.wrapping_add(1);
         self.writer
-            .write_to_known_channel(&header, &content)
+            .write_to_known_channel(&header, &NumberTopic::encode(values))
             .map_err(|error| unwritable(&self.path, error))
-    }
-
-    /// Completes the file.
-    ///
-    /// # Errors
-    /// The file cannot be written.
-    pub fn finish(mut self) -> Result<(), DataError> {
-        self.writer.finish().map(drop).map_err(|error| unwritable(&self.path, error))
     }
 }
 

@@ -1,0 +1,368 @@
+"""Calibration of many grippers: fit, diagnose and export over campaigns, one table, outliers, trends and control charts.
+
+    python -m magpie.fleet CAMPAIGNS -o FOLDER --workers 2
+
+CAMPAIGNS is a folder of campaigns, on a disk or in an object store (any address of fsspec, such as ``s3://bucket/campaigns``). The
+work is distributed by Dask; ``--scheduler`` names a cluster that runs already. Each campaign leaves one result file, so that a run
+that was ended goes on where it stopped, and a worker that dies loses nothing. ``fleet.parquet`` has a row for each parameter,
+effect and error; its bytes depend on the campaigns alone. ``fleet.html`` shows the control charts.
+"""
+
+from __future__ import annotations
+
+import argparse
+import base64
+import hashlib
+import html
+import io
+import json
+import sys
+import tempfile
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import fsspec
+import numpy
+import pandas
+import pyarrow
+import pyarrow.parquet
+from scipy import stats
+
+import magpie
+
+SCHEMA = pyarrow.schema(
+    [
+        ("campaign", pyarrow.string()),
+        ("recorded", pyarrow.string()),
+        ("kind", pyarrow.string()),  # parameter, effect, formula, error, problem
+        ("sensor", pyarrow.int32()),
+        ("name", pyarrow.string()),
+        ("value", pyarrow.float64()),
+        ("std_error", pyarrow.float64()),
+        ("unit", pyarrow.string()),
+        ("verdict", pyarrow.string()),
+        ("recordings_sha256", pyarrow.string()),
+        ("tables_id", pyarrow.int64()),
+    ]
+)
+# Family-wise error probability of the outliers, and of the trends.
+ALPHA = 0.01
+# Effects that are found in fewer of the grippers are outliers of these.
+RARE = 0.05
+# Grippers from which a scatter is estimated.
+FEWEST = 10
+# Of a normal distribution: standard deviation by median absolute deviation.
+MAD = 1.4826
+
+
+def find_campaigns(address: str) -> list[str]:
+    """Addresses of the campaigns in a folder: folders of recordings, in the order of their names."""
+    files, root = fsspec.core.url_to_fs(address)
+    found = files.glob(f"{root.rstrip('/')}/*/*/recording.toml")
+    folders = sorted({path.rsplit("/", 2)[0] for path in found})
+    return [files.unstrip_protocol(folder) for folder in folders]
+
+
+def _name(address: str) -> str:
+    return address.rstrip("/").rsplit("/", 1)[-1]
+
+
+def calibrate(address: str, *, base: str = "cylinder", seed: int = 1) -> list[dict]:
+    """Fits, diagnoses and exports one campaign; the rows of the table. An error of the recordings is a row, too."""
+    files, path = fsspec.core.url_to_fs(address)
+    with tempfile.TemporaryDirectory(prefix="magpie-fleet-") as folder:
+        local = Path(path)
+        if not isinstance(files, fsspec.implementations.local.LocalFileSystem):
+            local = Path(folder) / "campaign"
+            files.get(path, str(local), recursive=True)
+        common = {"campaign": _name(address), "recorded": _recorded(local)}
+        try:
+            return _rows(local, Path(folder), common, base, seed)
+        except magpie.MagpieError as error:
+            # Paths of a temporary folder would differ between runs.
+            text = str(error).replace(str(local), common["campaign"])
+            return [{**common, "kind": "problem", "name": "refused", "verdict": text}]
+
+
+def _recorded(campaign: Path) -> str | None:
+    """Date of the first recording."""
+    for file in sorted(campaign.glob("*/recording.toml")):
+        for line in file.read_text().splitlines():
+            key, _, value = line.partition("=")
+            if key.strip() == "recorded":
+                return value.strip().strip("\"'")
+    return None
+
+
+def _rows(campaign: Path, folder: Path, common: dict, base: str, seed: int) -> list[dict]:
+    fitted = magpie.fit(campaign, folder / "model.toml", base=base, seed=seed)
+    found = magpie.diagnose(fitted.model, campaign, seed=seed)
+    hashes = "".join(recording["sha256"] for recording in fitted.data["provenance"]["recordings"])
+    common = {**common, "recordings_sha256": hashlib.sha256(hashes.encode()).hexdigest()}
+    rows = []
+
+    def add(kind, name, **values):
+        rows.append({**common, "kind": kind, "name": name, **values})
+
+    for finding in found.data["findings"]:
+        add("problem", finding["id"], verdict=finding["message"])
+    for parameter in fitted.data.get("parameters", []):
+        values = {key: parameter[key] for key in ("sensor", "value", "std_error", "unit")}
+        add("parameter", parameter["name"], **values)
+    for verdict in found.data["verdicts"]:
+        values = {key: verdict[key] for key in ("value", "std_error", "unit", "verdict")}
+        add("effect", verdict["effect"], **values)
+    for formula in found.data["formulas"]:
+        text = "; ".join(effect["expression"] for effect in formula["effects"])
+        add("formula", formula["name"], verdict=text)
+    steps = found.data["staircase"]
+    for step, when in [(steps[0], "base"), (steps[-1], "with effects")] if steps else []:
+        for name, value in (step["force"] or {}).items():
+            add("error", name, value=value, unit="N", verdict=when)
+        add("error", "field_floors", value=step["held_out_rms_g"] / step["floor_g"], verdict=when)
+    if base == "cylinder":
+        tables = magpie.export(_with_effects(fitted, found, campaign, folder), folder / "tables.rs")
+        for row in rows:
+            row["tables_id"] = tables.data["id"]
+    return rows
+
+
+def _with_effects(fitted, found, campaign, folder):
+    """The model with the effects that were found and that the device compensates."""
+    effects = [names[0] for names in found.data["accepted"]]
+    effects = [name for name in effects if any(verdict.effect == name for verdict in found.verdicts)]
+    while effects:
+        edit = magpie.add(fitted.model, campaign, *effects, output=folder / "better.toml")
+        try:
+            magpie.export(edit.model, folder / "tables.rs")
+            return edit.model
+        except magpie.MagpieError:
+            effects.pop()
+    return fitted.model
+
+
+@dataclass(frozen=True)
+class _Task:
+    address: str
+    output: str
+    base: str
+    seed: int
+
+    def run(self) -> str:
+        """Calibrates a campaign and writes its result file, if there is none of the same files."""
+        files, path = fsspec.core.url_to_fs(self.address)
+        listed = sorted((info["name"], info["size"], str(info.get("mtime", ""))) for info in files.find(path, detail=True).values())
+        key = hashlib.sha256(json.dumps([listed, self.base, self.seed, magpie.__version__]).encode()).hexdigest()
+        results, folder = fsspec.core.url_to_fs(self.output)
+        target = f"{folder}/results/{_name(self.address)}.json"
+        if results.exists(target) and json.loads(results.cat_file(target))["key"] == key:
+            return self.address
+        content = json.dumps({"key": key, "rows": calibrate(self.address, base=self.base, seed=self.seed)})
+        results.makedirs(f"{folder}/results", exist_ok=True)
+        # A worker that dies while it writes leaves no half of a result.
+        with results.transaction, results.open(target, "w") as file:
+            file.write(content)
+        return self.address
+
+
+def run(
+    campaigns: Sequence[str],
+    output: str,
+    *,
+    client=None,
+    workers: int = 2,
+    base: str = "cylinder",
+    seed: int = 1,
+    progress=None,
+) -> pandas.DataFrame:
+    """Calibrates campaigns on a Dask cluster and writes ``fleet.parquet``; returns its content.
+
+    ``client``: of a running cluster (default: one of `workers` processes of this machine, each on one core; 0: this process). ``progress`` is called
+    with the number done, the number of all, and the seconds since the start.
+    """
+    names = [_name(address) for address in campaigns]
+    if len(set(names)) < len(names):
+        raise ValueError("two campaigns have one name; the name is the serial number")
+    tasks = [_Task(address, output, base, seed) for address in campaigns]
+    started = time.monotonic()
+    for done, _ in enumerate(_carried_out(tasks, client, workers), start=1):
+        if progress:
+            progress(done, len(tasks), time.monotonic() - started)
+    table = collect(output, names)
+    files, folder = fsspec.core.url_to_fs(output)
+    with files.open(f"{folder}/fleet.parquet", "wb") as file:
+        pyarrow.parquet.write_table(table, file, compression="zstd")
+    return table.to_pandas()
+
+
+def _carried_out(tasks: list[_Task], client, workers: int):
+    """Yields after each task."""
+    if not client and workers == 0:
+        yield from map(_Task.run, tasks)
+        return
+    import dask
+    from distributed import Client, LocalCluster, as_completed
+
+    own = None
+    if not client:
+        # One core each: more workers, not more threads.
+        with dask.config.set({"distributed.nanny.pre-spawn-environ.RAYON_NUM_THREADS": 1}):
+            own = LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None)
+        client = Client(own)
+    try:
+        for future in as_completed(client.map(_Task.run, tasks, pure=False)):
+            yield future.result()
+    finally:
+        if own:
+            client.close()
+            own.close()
+
+
+def collect(output: str, names: Iterable[str]) -> pyarrow.Table:
+    """The rows of the result files, sorted."""
+    files, folder = fsspec.core.url_to_fs(output)
+    rows = [row for name in sorted(names) for row in json.loads(files.cat_file(f"{folder}/results/{name}.json"))["rows"]]
+    rows.sort(key=lambda row: (row["campaign"], row["kind"], row.get("sensor", -1), row["name"], row.get("verdict") or ""))
+    return pyarrow.Table.from_pylist(rows, schema=SCHEMA)
+
+
+def z_scores(values: numpy.ndarray, std_errors: numpy.ndarray) -> numpy.ndarray:
+    """Deviations from the median in standard deviations: of the production (robust) and of each value's own error."""
+    median = numpy.median(values)
+    scatter = MAD * numpy.median(abs(values - median))
+    production = max(scatter**2 - numpy.median(std_errors**2), 0.0)
+    return (values - median) / numpy.sqrt(numpy.maximum(production + std_errors**2, 1e-300))
+
+
+def outliers(table: pandas.DataFrame) -> pandas.DataFrame:
+    """Grippers that differ from the others: parameters, errors, rare effects, and refused recordings.
+
+    Of fewer than ten grippers the problems only: their scatter is not known.
+    """
+    found, count = [], table.campaign.nunique()
+    parameters = table[(table.kind == "parameter") & numpy.isfinite(table.std_error)]
+    groups = list(parameters.groupby(["name", "sensor"])) if count >= FEWEST else []
+    limit = stats.norm.isf(ALPHA / 2 / max(len(parameters), 1))
+    for (name, sensor), group in groups:
+        scores = z_scores(group.value.to_numpy(), group.std_error.to_numpy())
+        for row, score in zip(group.itertuples(), scores):
+            if abs(score) > limit:
+                found.append((row.campaign, int(sensor), name, row.value, row.unit, score))
+    errors = table[(table.kind == "error") & (table.verdict == "with effects") & (table.name == "field_floors")]
+    if len(errors) >= FEWEST:
+        scores = z_scores(numpy.log(errors.value.to_numpy()), numpy.zeros(len(errors)))
+        for row, score in zip(errors.itertuples(), scores):
+            # What is at the floor is no outlier, however little the others scatter.
+            if score > stats.norm.isf(ALPHA / count) and row.value > 1.5:
+                found.append((row.campaign, None, "error of the field", row.value, "floors", score))
+    effects = table[(table.kind == "formula") | ((table.kind == "effect") & table.verdict.isin(["found", "tied"]))]
+    for name, group in effects.groupby(effects.name.where(effects.kind == "effect", "a formula")):
+        if count >= FEWEST and group.campaign.nunique() <= RARE * count:
+            found += [(row.campaign, None, f"effect {name}", row.value, row.unit, None) for row in group.itertuples()]
+    for row in table[table.kind == "problem"].itertuples():
+        found.append((row.campaign, None, f"{row.name}: {row.verdict}", None, None, None))
+    columns = ["campaign", "sensor", "what", "value", "unit", "z"]
+    return pandas.DataFrame(found, columns=columns).sort_values(["campaign", "what"], ignore_index=True)
+
+
+def common_effects(table: pandas.DataFrame) -> pandas.Series:
+    """Share of the grippers in which each effect was found, the most frequent first."""
+    effects = table[(table.kind == "effect") & table.verdict.isin(["found", "tied"])]
+    shares = effects.groupby("name").campaign.nunique() / table.campaign.nunique()
+    return shares.sort_values(ascending=False)
+
+
+def trends(table: pandas.DataFrame) -> pandas.DataFrame:
+    """Parameters that drift over the serial number (order of the names) or the date of the recording."""
+    parameters = table[(table.kind == "parameter") & numpy.isfinite(table.std_error)]
+    groups, found = list(parameters.groupby(["name", "sensor"])), []
+    for (name, sensor), group in groups:
+        group = group.sort_values("campaign")
+        orders = {"serial number": numpy.arange(len(group), dtype=float)}
+        if group.recorded.notna().all():
+            dates = pandas.to_datetime(group.recorded, utc=True, format="mixed")
+            orders["date, days"] = (dates - dates.min()).dt.total_seconds().to_numpy() / 86400
+        for over, order in orders.items():
+            if len(group) < 10 or numpy.ptp(order) == 0:
+                continue
+            correlation = stats.spearmanr(order, group.value)
+            if correlation.pvalue < ALPHA / max(len(groups) * len(orders), 1):
+                slope = stats.theilslopes(group.value, order)
+                found.append((name, int(sensor), over, slope.slope, slope.low_slope, slope.high_slope, correlation.pvalue))
+    return pandas.DataFrame(found, columns=["parameter", "sensor", "over", "slope", "low", "high", "p"])
+
+
+def page(table: pandas.DataFrame) -> str:
+    """Control charts of all parameters, outliers, trends and common effects as an HTML page."""
+    from matplotlib.figure import Figure
+
+    strange, count = outliers(table), table.campaign.nunique()
+    parts = [f"<h1>Calibration of {count} grippers</h1>"]
+    for heading, frame in (
+        ("Outliers", strange),
+        ("Drift", trends(table)),
+        ("Effects found, share of the grippers", common_effects(table).to_frame("share")),
+    ):
+        text = frame.to_html(na_rep="", float_format="{:.4g}".format) if len(frame) else "<p>None.</p>"
+        parts.append(f"<h2>{heading}</h2>{text}")
+    parts.append("<h2>Control charts</h2><p>Bars: one standard error. Lines: median and three robust standard deviations.</p>")
+    parameters = table[table.kind == "parameter"]
+    for name, group in parameters.groupby("name"):
+        figure = Figure(figsize=(9, 2.6), layout="constrained")
+        axes = figure.add_subplot()
+        for sensor, own in group.groupby("sensor"):
+            own = own.sort_values("campaign")
+            median = own.value.median()
+            limit = 3 * MAD * (own.value - median).abs().median()
+            marks = axes.errorbar(range(len(own)), own.value, own.std_error, fmt=".", ms=4, lw=0.6, label=f"sensor {sensor}")
+            for level, style in ((median, "-"), (median - limit, "--"), (median + limit, "--")):
+                axes.axhline(level, color=marks[0].get_color(), ls=style, lw=0.7)
+            far = own.campaign.isin(strange[(strange.what == name) & (strange.sensor == sensor)].campaign).to_numpy()
+            axes.plot(numpy.flatnonzero(far), own.value[far], "o", mfc="none", ms=9, color="black")
+        axes.set(xlabel="gripper, by name", ylabel=f"{name}, {group.unit.iloc[0]}")
+        axes.legend(loc="upper right", fontsize="small")
+        content = io.BytesIO()
+        figure.savefig(content, format="png", dpi=110)
+        image = base64.b64encode(content.getvalue()).decode()
+        parts.append(f'<figure><img alt="{html.escape(name)} of all grippers" src="data:image/png;base64,{image}"></figure>')
+    style = "body{font:16px system-ui;margin:2em auto;max-width:70em;padding:0 1em}img{max-width:100%}td,th{padding:.2em .6em}"
+    return f'<!doctype html><html lang="en"><meta charset="utf-8"><title>Fleet</title><style>{style}</style>{"".join(parts)}</html>'
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(prog="python -m magpie.fleet", description=__doc__.partition("\n")[0])
+    parser.add_argument("campaigns", nargs="+", help="folders of campaigns, or addresses of fsspec")
+    parser.add_argument("-o", "--output", required=True, help="folder for fleet.parquet, fleet.html and the result files")
+    parser.add_argument("--workers", type=int, default=2, help="processes of this machine, 0: none but this one (default: %(default)s)")
+    parser.add_argument("--scheduler", help="address of a running Dask scheduler instead")
+    parser.add_argument("--base", choices=["cylinder", "polynomial"], default="cylinder")
+    parser.add_argument("--seed", type=int, default=1)
+    options = parser.parse_args(arguments)
+    campaigns = [campaign for address in options.campaigns for campaign in find_campaigns(address)]
+    if not campaigns:
+        parser.error(f"no campaigns in {', '.join(options.campaigns)}: a campaign is a folder of recordings with a recording.toml each")
+    client = None
+    if options.scheduler:
+        from distributed import Client
+
+        client = Client(options.scheduler)
+    shown_s = [0.0]
+
+    def progress(done, total, passed_s):
+        if passed_s - shown_s[0] >= 10 or done == total:
+            shown_s[0] = passed_s
+            print(f"{done} of {total} campaigns, {passed_s * (total - done) / done:.0f} s left", file=sys.stderr)
+
+    settings = {"workers": options.workers, "base": options.base, "seed": options.seed}
+    table = run(campaigns, options.output, client=client, progress=progress, **settings)
+    files, folder = fsspec.core.url_to_fs(options.output)
+    files.pipe_file(f"{folder}/fleet.html", page(table).encode())
+    strange = outliers(table)
+    print(strange.to_string(index=False) if len(strange) else "No outliers.")
+    print(f"\n{table.campaign.nunique()} grippers; written: {options.output}/fleet.parquet, {options.output}/fleet.html")
+
+
+if __name__ == "__main__":
+    main()

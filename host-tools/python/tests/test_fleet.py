@@ -1,0 +1,97 @@
+"""Calibration of a fleet: a worker that dies, a run that goes on, and grippers that differ from the others."""
+
+import gzip
+import os
+import signal
+
+import numpy
+import pandas
+import pytest
+from distributed import Client, LocalCluster
+
+import magpie
+from magpie import fleet
+
+COUNT, WEAK, DEAD = 14, 5, 9
+
+
+def rewrite(campaign, change):
+    """Changes the columns of the board's tables."""
+    for path in campaign.glob("*/hall.csv.gz"):
+        table = pandas.read_csv(path)
+        change(table)
+        with gzip.open(path, "wt", newline="") as file:
+            table.to_csv(file, index=False)
+
+
+@pytest.fixture(scope="module")
+def campaigns(tmp_path_factory):
+    root = tmp_path_factory.mktemp("fleet")
+    for number in range(COUNT):
+        options = {"recordings": 2, "seconds": 5.0, "sensors": 1, "seed": 100 + number}
+        folder = root / "campaigns" / f"g{number:02}"
+        folder.parent.mkdir(exist_ok=True)
+        magpie.simulate(folder, truth=root / f"truth-{number}.toml", **options)
+
+    def weaken(table):
+        fields = [f"s0_{axis}_lsb" for axis in "xyz"]
+        table[fields] = (0.75 * table[fields]).round().astype(int)
+
+    rewrite(root / "campaigns" / f"g{WEAK:02}", weaken)
+    rewrite(root / "campaigns" / f"g{DEAD:02}", lambda table: table.__setitem__("s0_y_lsb", 0))
+    return root / "campaigns"
+
+
+def test_a_killed_worker_loses_and_repeats_nothing(campaigns, tmp_path):
+    found = fleet.find_campaigns(str(campaigns))
+    assert [address.rsplit("/", 1)[-1] for address in found] == [f"g{number:02}" for number in range(COUNT)]
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster, Client(cluster) as client:
+
+        def kill_one(done, total, passed_s):
+            if done == 2:
+                os.kill(next(iter(client.run(os.getpid).values())), signal.SIGKILL)
+
+        table = fleet.run(found, str(tmp_path / "killed"), client=client, progress=kill_one)
+    assert table.campaign.nunique() == COUNT
+    assert not table.duplicated(["campaign", "kind", "sensor", "name", "verdict"]).any()
+    # Without a cluster, and with all but three of the results of a run that was ended.
+    kept = tmp_path / "one" / "results"
+    kept.mkdir(parents=True)
+    for file in sorted((tmp_path / "killed" / "results").iterdir())[3:]:
+        (kept / file.name).write_bytes(file.read_bytes())
+    times = {file.name: file.stat().st_mtime_ns for file in kept.iterdir()}
+    fleet.run(found, str(tmp_path / "one"), workers=0)
+    assert times.items() <= {file.name: file.stat().st_mtime_ns for file in kept.iterdir()}.items()
+    tables = [(tmp_path / run / "fleet.parquet").read_bytes() for run in ("killed", "one")]
+    assert tables[0] == tables[1]
+
+
+def test_grippers_that_differ_are_named(campaigns, tmp_path):
+    fleet.main([str(campaigns), "-o", str(tmp_path), "--workers", "0"])
+    table = pandas.read_parquet(tmp_path / "fleet.parquet")
+    strange = fleet.outliers(table)
+    assert set(strange.campaign) == {f"g{WEAK:02}", f"g{DEAD:02}"}, strange
+    page = (tmp_path / "fleet.html").read_text()
+    assert "<h2>Control charts</h2>" in page and page.count("<img ") >= 10
+
+
+def test_scores_consider_the_scatter_of_the_production_and_the_error_of_each_value():
+    values = numpy.array([1.0, 2.0, 3.0, 4.0, 5.0, 13.0])
+    # Median 3.5, median absolute deviation 1.5, so 2.2239 of a normal distribution.
+    exact = fleet.z_scores(values, numpy.zeros(6))
+    assert exact[5] == pytest.approx(9.5 / 2.2239, rel=1e-4)
+    # A value whose own error is as large as its deviation says nothing.
+    uncertain = fleet.z_scores(values, numpy.array([0, 0, 0, 0, 0, 9.5]))
+    assert uncertain[5] == pytest.approx(9.5 / numpy.hypot(2.2239, 9.5), rel=1e-4)
+
+
+def test_a_drift_over_the_serial_number_is_found_and_noise_is_not():
+    random = numpy.random.default_rng(3)
+    rows = []
+    for number in range(60):
+        common = {"campaign": f"g{number:03}", "recorded": None, "kind": "parameter", "sensor": 0, "std_error": 0.001}
+        rows.append({**common, "name": "gap", "value": 1.5 + 0.001 * number + 0.01 * random.standard_normal(), "unit": "mm"})
+        rows.append({**common, "name": "bias_x", "value": random.standard_normal(), "unit": "G"})
+    found = fleet.trends(pandas.DataFrame(rows))
+    assert list(found.parameter) == ["gap"]
+    assert found.low[0] < 0.001 < found.high[0]
