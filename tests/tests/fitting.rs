@@ -242,6 +242,14 @@ fn swapped_inverted_and_scaled_columns_are_refused() {
     assert!(flipped.contains("column f0_z_n") && flipped.contains("sign flipped"), "{flipped}");
     let kilograms = error_of("force.csv", &[], Some((1, 1.0 / 9.80665)));
     assert!(kilograms.contains("column f0_x_n") && kilograms.contains("unit"), "{kilograms}");
+    // Kilonewtons that are called pounds, and grams: too small to be checked as newtons.
+    for share in [4.448_222e-3, 9.806_65e-6] {
+        let small = error_of("force.csv", &[], Some((1, share)));
+        assert!(
+            small.contains("column f0_x_n") && small.contains("times the sensitivity"),
+            "{small}"
+        );
+    }
     let reversed = error_of("hall.csv", &[], Some((2, -1.0)));
     assert!(reversed.contains("column s0_y") && reversed.contains("sign is flipped"), "{reversed}");
     let permuted =

@@ -74,7 +74,8 @@ fn units_signs_clocks_and_missing_values_are_converted() {
     assert_eq!(first.sensors[&0].field_g[3], [15.0, 25.0, 2.5]);
     assert_eq!(first.covariates["stage_mm"][3], 12.0);
     let force = &first.forces[&(0, Axis::Z)].newtons;
-    assert!(force.iter().any(|n| n.is_nan()));
+    // Every second row has none.
+    assert!(force.iter().all(|n| n.is_finite()) && force.len() <= 20, "{}", force.len());
     let max = force.iter().copied().filter(|n| n.is_finite()).fold(0.0, f64::max);
     // The last row has no window: 0.37 kg is the maximum used.
     assert!((max - 0.37 * 9.80665).abs() < 1e-9, "{max}");
@@ -263,6 +264,19 @@ fn proposal_recognises_columns_of_common_loggers() {
                 ("R grip z (N)", "N", "f0_z_n"),
             ],
         },
+        // Several forces of one finger, and the current of a motor.
+        Case {
+            header: "t_ms,L_Bx_G,L_By_G,L_Bz_G,R_Bx_G,R_By_G,R_Bz_G,L grip z (N),L pull x (N),R grip z (N),R pull x (N),I motor (mA)",
+            step: 1.0,
+            is_whole: false,
+            clock_unit: "ms",
+            columns: &[
+                ("L pull x (N)", "N", "f0_x_n"),
+                ("R grip z (N)", "N", "f1_z_n"),
+                ("R pull x (N)", "N", "f1_x_n"),
+                ("I motor (mA)", "mA", "motor_iq_a"),
+            ],
+        },
         // Names of sensors decide, not the order.
         Case {
             header: "t_s,right_bx_G,right_by_G,right_bz_G,left_bx_G,left_by_G,left_bz_G,left_temp_degC,right_temp_degC,left_fz_N,right_fz_N",
@@ -446,6 +460,94 @@ fn proposal_finds_markers_of_missing_forces_and_a_running_clock() {
     assert_eq!(weight.range, (1.5, 39.5));
     let apart = propose(&[write("3.csv", 0.0), write("4.csv", 0.0)]).unwrap();
     assert!(apart.text.contains("one_clock = false"), "{}", apart.text);
+}
+
+#[test]
+fn clocks_with_another_distance_in_each_recording_count_from_the_first_row() {
+    let folder = TempDir::new().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let recording = |name: &str, start: f64| {
+        fs::create_dir(at(name)).unwrap();
+        fs::write(at(name).join("a.csv"), table("t_s,fx_N,fz_N", 0.01, start, false)).unwrap();
+        fs::write(at(name).join("b.csv"), table("t_s,bx_G,by_G,bz_G", 0.001, 0.0, false)).unwrap();
+        at(name)
+    };
+    let sources = [recording("1", 1.7e9), recording("2", 1.700_000_6e9)];
+    let proposal = propose(&sources).unwrap();
+    assert_eq!(proposal.text.matches("from_first_row = true").count(), 2, "{}", proposal.text);
+    assert!(proposal.text.contains("one_clock = false"), "{}", proposal.text);
+    fs::write(at("mapping.toml"), &proposal.text).unwrap();
+    import(&at("mapping.toml"), &sources, &at("campaign"), |_| ()).unwrap();
+    let campaign = Campaign::read(&at("campaign"), Alignment { delay_us: 0.0 }, |_| ()).unwrap();
+    for recording in &campaign.recordings {
+        assert!(recording.time_s[0] < 0.02, "{}", recording.time_s[0]);
+    }
+    // One clock through all of them would not say when they began.
+    let both = proposal.text.replace("one_clock = false", "one_clock = true");
+    fs::write(at("mapping.toml"), both).unwrap();
+    let error = import(&at("mapping.toml"), &sources, &at("other"), |_| ()).unwrap_err();
+    assert!(error.to_string().contains("set one_clock = false"), "{error}");
+    // Of the same distance: an offset.
+    let same = [recording("3", 1.7e9), recording("4", 1.7e9)];
+    assert!(propose(&same).unwrap().text.contains("offset_s = -1700000000.0"));
+}
+
+#[test]
+fn tables_with_semicolons_or_tabs_are_read_like_those_with_commas() {
+    let folder = TempDir::new().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let text = table("t_s,bx_mT,by_mT,bz_mT,fx_N,fz_N", 0.001, 0.0, false);
+    fs::write(at("comma.csv"), &text).unwrap();
+    fs::write(at("semicolon.csv"), text.replace(',', ";").replace('.', ",")).unwrap();
+    fs::write(at("tab.csv"), text.replace(',', "\t")).unwrap();
+    let read = |name: &str| {
+        let source = at(&format!("{name}.csv"));
+        let proposal = propose(std::slice::from_ref(&source)).unwrap();
+        fs::write(at("mapping.toml"), &proposal.text).unwrap();
+        import(&at("mapping.toml"), &[source], &at(name), |_| ()).unwrap();
+        Campaign::read(&at(name), Alignment { delay_us: 0.0 }, |_| ()).unwrap().recordings.remove(0)
+    };
+    let comma = read("comma");
+    for name in ["semicolon", "tab"] {
+        let other = read(name);
+        assert_eq!(other.sensors[&0].field_g, comma.sensors[&0].field_g, "{name}");
+        assert_eq!(other.forces[&(0, Axis::Z)].newtons, comma.forces[&(0, Axis::Z)].newtons);
+    }
+}
+
+#[test]
+fn rows_without_a_time_or_a_force_belong_to_the_other_table_of_their_file() {
+    let folder = TempDir::new().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let mut text = "t_ms,bx_G,by_G,bz_G,load_t_ms,fz_N\n".to_owned();
+    for row in 0..600 {
+        let force = if row % 10 == 0 { format!("{row}.25,{row}") } else { ",".to_owned() };
+        text += &format!("{row},1.5,{row},2.5,{force}\n");
+    }
+    fs::write(at("log.csv"), text).unwrap();
+    let of_clock = |clock: &str| {
+        let mapping = format!(
+            "description = \"\"\n[hall]\nclock = {{ from = \"t_ms\", unit = \"ms\" }}\ncolumns = [{}]\n\
+             [force]\nclock = {{ from = {clock:?}, unit = \"ms\" }}\n\
+             columns = [{{ from = \"fz_N\", unit = \"N\", to = \"f0_z_n\" }}]\n",
+            ["x", "y", "z"]
+                .map(|axis| format!(
+                    "{{ from = \"b{axis}_G\", unit = \"G\", to = \"s0_{axis}_gauss\" }}"
+                ))
+                .join(", ")
+        );
+        fs::write(at("mapping.toml"), mapping).unwrap();
+        let target = at(clock);
+        import(&at("mapping.toml"), &[at("log.csv")], &target, |_| ()).unwrap();
+        let campaign = Campaign::read(&target, Alignment { delay_us: 0.0 }, |_| ()).unwrap();
+        let recording = &campaign.recordings[0];
+        (recording.time_s.clone(), recording.forces[&(0, Axis::Z)].newtons.clone())
+    };
+    let (own_s, own_n) = of_clock("load_t_ms");
+    let (board_s, board_n) = of_clock("t_ms");
+    assert_eq!(own_n, board_n);
+    assert!((55..=60).contains(&own_n.len()), "{}", own_n.len());
+    assert!(own_s.iter().zip(&board_s).all(|(own, board)| (own - board - 0.000_25).abs() < 1e-9));
 }
 
 #[test]

@@ -6,7 +6,7 @@ use std::path::Path;
 use anyhow::{Context, Result};
 use model_export::effects::EffectTerm;
 use model_export::fit::FitOptions;
-use model_export::fit::campaign::FitSetup;
+use model_export::fit::campaign::{FitSetup, SEARCH_ROWS};
 use model_export::fit::cross_validation::CvSplit;
 use model_export::fit::score_test::ScoreTest;
 use model_export::model_file::{BaseKind, ModelFile, Provenance};
@@ -24,7 +24,7 @@ use crate::diagnose::candidates::{UntestableEffect, candidates, screen};
 use crate::diagnose::observer::Observer;
 use crate::diagnose::residuals::{block_s, residual_tables, residuals_against};
 use crate::diagnose::selection::FittedModel;
-use crate::diagnose::{Diagnosis, SELECTION_ROWS, diagnose};
+use crate::diagnose::{Diagnosis, diagnose};
 use crate::edit_model::check_effects;
 
 /// The models of a campaign.
@@ -146,7 +146,7 @@ impl Workbench {
             findings: scanned.findings,
             untestable,
             base,
-            sample: setup.sampled_by_fold(SELECTION_ROWS),
+            sample: setup.sampled_by_fold(SEARCH_ROWS),
             reader,
             campaign,
             setup,

@@ -90,7 +90,8 @@ impl FoxgloveServer {
             .with_context(|| format!("{address} cannot be served: choose another port"))?;
         let sensors: Vec<usize> = (0..SENSORS).collect();
         let columns = sensors.iter().flat_map(|sensor| sensor_columns(*sensor as u32));
-        let hall: Vec<String> = columns.chain(COVARIATES.iter().map(|name| (*name).to_owned())).collect();
+        let hall: Vec<String> =
+            columns.chain(COVARIATES.iter().map(|name| (*name).to_owned())).collect();
         let topics = BoardTopics::new(&hall, &[], &sensors, |columns| {
             Ok(RecordingTopics::new(Channels(context), columns, None, 0.0)?)
         })?;

@@ -16,7 +16,7 @@ use report::text::terminal;
 #[command(after_help = "\
 Examples:
   cargo magpie compare model.toml tests/data/demo -o report.html
-  cargo magpie compare model.toml tests/data/demo --baseline better.toml
+  cargo magpie compare better.toml tests/data/demo --baseline model.toml
   cargo magpie compare model.toml tests/data/demo --fix corrected
   cargo magpie compare model.toml tests/data/demo --json | jq '.where[0]'")]
 pub struct Args {

@@ -104,7 +104,7 @@ pub fn run(args: &Args) -> Result<()> {
     let verdict = text::comparison::verdict(of_base);
     terminal::print(&terminal::paragraph(&format!("2. Compare. {verdict}")))?;
     if args.verbose {
-        terminal::print(&format!("\n{}", text::comparison::format_report(&comparison)))?;
+        terminal::print(&format!("\n{}", text::comparison::format_report(of_base)))?;
     }
     terminal::print(&found(&diagnosis))?;
     if args.verbose {

@@ -65,18 +65,30 @@ pub struct Args {
     json: bool,
 }
 
+/// Ratio of the lengths of two tables of one recording from which a clock is probably in another unit.
+const OTHER_UNIT: f64 = 30.0;
+
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
     let Some(mapping) = &args.mapping else {
         return propose(args);
     };
-    let remedy =
-        || format!("units and clocks are what {} states: correct `unit` there", mapping.display());
     // The user has the sources and the mapping, not the columns of the new recordings.
     let with_remedy = |error: DataError| {
-        if let ErrorKind::NoOverlap { hall_from, force_from, .. } = *error.kind {
+        let is_in_campaign =
+            error.location.file.starts_with(&args.output) && error.location.file != args.output;
+        if let ErrorKind::NoOverlap { hall_from, hall_to, force_from, force_to } = *error.kind {
+            let ratio = (force_to - force_from) / (hall_to - hall_from);
+            if !(1.0 / OTHER_UNIT..=OTHER_UNIT).contains(&ratio) {
+                return anyhow!(
+                    "{error}; {}: the reference lasts {ratio:.3} times as long as the board, as if one of the two clocks were in another unit: \
+                     correct `unit` of the clock there",
+                    mapping.display()
+                );
+            }
             anyhow!(
-                "{error}; in {}: where both began at the same instant, increase offset_s of the clock of [force] by {:.3}",
+                "{error}; in {}: where both began at the same instant, increase offset_s of the clock of [force] by {:.3}, or, where they do in \
+                 every recording, set from_first_row = true in both clocks",
                 mapping.display(),
                 hall_from - force_from
             )
@@ -84,10 +96,16 @@ pub fn run(args: &Args) -> Result<()> {
             && !error.location.file.starts_with(&args.output)
         {
             anyhow!("{error}; or leave the column out of {}", mapping.display())
-        } else if error.location.file.starts_with(&args.output)
-            && error.location.file != args.output
-        {
-            anyhow!("{error}; {}", remedy())
+        } else if is_in_campaign && error.kind.is_of_unit() {
+            anyhow!(
+                "{error}; units and clocks are what {} states: correct `unit` there",
+                mapping.display()
+            )
+        } else if is_in_campaign {
+            anyhow!(
+                "{error} ({} states which columns of the source this file has)",
+                mapping.display()
+            )
         } else {
             error.into()
         }
@@ -152,7 +170,7 @@ pub fn run(args: &Args) -> Result<()> {
     next += &if is_refused {
         let is_of_units = notes.iter().any(is_unit);
         let what = if is_of_units {
-            remedy()
+            format!("units are what {} states: correct `unit` there", mapping.display())
         } else {
             format!("correct what the note names in {}", mapping.display())
         };

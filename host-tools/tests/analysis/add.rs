@@ -109,6 +109,43 @@ fn added_neighbour_magnet_reaches_the_floor() {
 }
 
 #[test]
+fn a_diagnosis_and_the_edit_that_it_suggests_state_the_same_errors() {
+    for (name, effects) in
+        [("demo", &["neighbour_magnet"][..]), ("friction", &["magnet_temperature", "hysteresis"])]
+    {
+        let fitted = Fitted::of(name);
+        let added = fitted.add(effects);
+        let diagnosis = fitted.dir.json(&["diagnose", "model.toml", &fitted.campaign, "--json"]);
+        let last = diagnosis["staircase"].as_array().unwrap().last().unwrap().clone();
+        let stated = [&last["held_out_rms_g"], &last["force"]["rms_n"], &last["force"]["excess_n"]];
+        let force = &added["force"]["after"];
+        let own = [&added["after"]["held_out_rms_g"], &force["rms_n"], &force["excess_n"]];
+        for (stated, own) in stated.into_iter().zip(own) {
+            // JSON rounds to ten digits.
+            assert!((number(stated) - number(own)).abs() < 1e-6, "{name}: {stated} {own}");
+        }
+    }
+}
+
+#[test]
+fn skew_of_the_clocks_is_to_be_aligned() {
+    let dir = WorkDir::empty();
+    dir.stdout("simulate -o late --effect clock_skew=5 --seconds 12 --sensors 1 --recordings 3");
+    dir.stdout("fit late -o model.toml");
+    let text = text(&dir.stdout("add model.toml late clock_skew"));
+    let (_, delay_ms) = text.split_once("--delay-ms ").unwrap();
+    let delay_ms: f64 = delay_ms.split_once(',').unwrap().0.parse().unwrap();
+    dir.stdout(&format!("fit late -o aligned.toml --delay-ms {delay_ms}"));
+    let excess_n = |model: &str| {
+        let delay = if model == "aligned.toml" { delay_ms } else { 0.0 };
+        let compared = dir.json(&format!("compare {model} late --delay-ms {delay} --json"));
+        compared["force"]["excess_n"].as_f64().unwrap()
+    };
+    assert!((delay_ms - 5.0).abs() < 0.2, "{delay_ms}");
+    assert!(excess_n("aligned.toml") < 0.2 * excess_n("model.toml"), "{delay_ms}");
+}
+
+#[test]
 fn user_formula_of_a_ripple_runs_on_the_device() {
     let fitted = Fitted::of("ripple");
     let formula = "ripple: dz_um = a*sin(2*pi*opening_mm/p) + b*cos(2*pi*opening_mm/p)";

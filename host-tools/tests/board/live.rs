@@ -89,7 +89,8 @@ fn foxglove_messages(address: &str, topic: &str, count: usize) -> (Vec<Value>, V
                     continue;
                 }
                 channels.extend(message["channels"].as_array().unwrap().iter().cloned());
-                let Some(channel) = channels.iter().find(|channel| channel["topic"] == topic) else {
+                let Some(channel) = channels.iter().find(|channel| channel["topic"] == topic)
+                else {
                     continue;
                 };
                 let subscription = json!({ "id": 7, "channelId": channel["id"] });
@@ -120,7 +121,10 @@ fn foxglove_receives_every_tick_and_the_layout_shows_existing_topics() {
     let fields = |topic: &str| -> Vec<String> {
         let channel = channels.iter().find(|channel| channel["topic"] == topic);
         let channel = channel.unwrap_or_else(|| panic!("{topic}: {channels:?}"));
-        assert_eq!((&channel["encoding"], &channel["schemaEncoding"]), (&json!("cdr"), &json!("ros2msg")));
+        assert_eq!(
+            (&channel["encoding"], &channel["schemaEncoding"]),
+            (&json!("cdr"), &json!("ros2msg"))
+        );
         let lines = channel["schema"].as_str().unwrap().lines();
         lines.map(|line| line.split(' ').nth(1).unwrap().to_owned()).collect()
     };

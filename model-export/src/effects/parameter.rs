@@ -37,6 +37,8 @@ pub struct EffectParameter {
     /// True for a threshold in newtons limited to half the range of the load: an element with a larger threshold
     /// never slips and is indistinguishable from a spring.
     pub limited_to_half_range: bool,
+    /// Limits of the value; beyond, the fit would be another effect.
+    pub limits: Option<(f64, f64)>,
     /// Recordings to which a value applies.
     pub scope: ParameterScope,
     /// Index of the only recording whose field depends on it, if there is one.
@@ -69,6 +71,7 @@ impl EffectParameter {
             shared: false,
             cross_validated: false,
             limited_to_half_range: false,
+            limits: None,
             scope: ParameterScope::Campaign,
             recording: None,
         }
@@ -96,6 +99,12 @@ impl EffectParameter {
         self
     }
 
+    /// Limited to these values.
+    pub const fn within(mut self, low: f64, high: f64) -> Self {
+        self.limits = Some((low, high));
+        self
+    }
+
     /// Selected by cross-validation where there are several recordings.
     pub const fn cross_validated(mut self) -> Self {
         self.cross_validated = true;
@@ -112,6 +121,7 @@ impl EffectParameter {
     pub const fn initial_state(name: &'static str, unit: &'static str, typical: f64) -> Self {
         let mut parameter = Self::new(name, unit, ParameterKind::InitialState, typical);
         parameter.scope = ParameterScope::EachRecording;
+        parameter.limits = Some((-1.0, 1.0));
         parameter
     }
 

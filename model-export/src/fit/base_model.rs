@@ -67,7 +67,8 @@ impl BaseModel for CylinderBase {
             relative: false,
             shared: false,
             refit_per_fold: true,
-            limited: false,
+            limits: None,
+            is_state: false,
             recording: None,
             preset_sigma: None,
         };
@@ -149,7 +150,8 @@ impl BaseModel for PolynomialBase {
             relative: false,
             shared: false,
             refit_per_fold: true,
-            limited: false,
+            limits: None,
+            is_state: false,
             recording: None,
             preset_sigma: None,
         };

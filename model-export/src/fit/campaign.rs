@@ -9,12 +9,12 @@ use crate::fit::base_model::{BaseModel, CylinderBase, PolynomialBase};
 use crate::fit::cross_validation::CvSplit;
 use crate::fit::joint::{self, BaseFits, JointFit};
 use crate::fit::polynomial::{self, PolynomialFit};
-use crate::fit::rows::SensorRows;
+use crate::fit::rows::{SensorRows, own_forces};
 use crate::fit::{AxisScore, FitError, FitOptions, orientation};
 use crate::physics::ForwardModel;
 use crate::recordings::description::NominalDesign;
 use crate::recordings::in_order;
-use crate::recordings::{Campaign, Location, Notice};
+use crate::recordings::{Campaign, Location, Notice, Recording};
 
 /// Fits of all sensors, in ascending order of their numbers.
 #[derive(Clone, Debug)]
@@ -51,7 +51,14 @@ pub struct FitSetup {
     pub notices: Vec<Notice>,
     /// Fits without effects, computed on first use.
     base_fits: OnceLock<BaseFits>,
+    /// Whether the rows are a sample, on which the shapes of effects are searched.
+    is_sample: bool,
 }
+
+/// Rows of each recording on which the shapes of effects are searched, and by which effects and formulas are selected; the models
+/// of the result are fitted to all rows. Where the residual is white noise, standard errors during the selection are larger by the
+/// root of the ratio.
+pub const SEARCH_ROWS: usize = 600;
 
 impl FitSetup {
     /// With the cylinder base, for every sensor with both forces recorded; the others are reported as notices.
@@ -85,6 +92,7 @@ impl FitSetup {
             design: Some(design.clone()),
             polynomials: Vec::new(),
             base_fits: OnceLock::new(),
+            is_sample: false,
         })
     }
 
@@ -114,7 +122,13 @@ impl FitSetup {
             polynomials,
             notices,
             base_fits: OnceLock::new(),
+            is_sample: false,
         })
+    }
+
+    /// The same, as a sample of the rows of another setup.
+    fn into_sample(self) -> Self {
+        Self { is_sample: true, ..self }
     }
 
     /// The same bases with other rows; sensors without a base are left out.
@@ -132,12 +146,13 @@ impl FitSetup {
             polynomials: self.polynomials.clone(),
             notices: Vec::new(),
             base_fits: OnceLock::new(),
+            is_sample: false,
         }
     }
 
     /// The same with at most `count` rows of each recording.
     pub fn sampled(&self, count: usize) -> Self {
-        self.with_rows(self.rows.iter().map(|rows| rows.at_most(|_| count)).collect())
+        self.with_rows(self.rows.iter().map(|rows| rows.at_most(|_| count)).collect()).into_sample()
     }
 
     /// The same, of more than ten recordings with the first of each fold of the cross-validation only.
@@ -148,7 +163,7 @@ impl FitSetup {
                 |place: usize| place == 0 || split.fold_of(place) != split.fold_of(place - 1);
             rows.at_most(|place| if is_first(place) { count } else { 0 })
         };
-        self.with_rows(self.rows.iter().map(of).collect())
+        self.with_rows(self.rows.iter().map(of).collect()).into_sample()
     }
 
     /// Number of recordings with rows of any sensor.
@@ -161,8 +176,8 @@ impl FitSetup {
         self.rows.iter().map(SensorRows::len).sum()
     }
 
-    /// Fits the base with these effects, cross-validated by `split`. `done` is called after each sensor, from
-    /// any thread.
+    /// Fits the base with these effects, cross-validated by `split`. Of many rows the shapes of the effects are searched on a
+    /// sample, as a diagnosis searches them. `done` is called after each sensor, from any thread.
     pub fn fit(
         &self,
         effects: &[EffectTerm],
@@ -171,7 +186,19 @@ impl FitSetup {
         done: impl Fn(u32) + Sync,
     ) -> Result<JointFit, FitError> {
         let base_fits = self.base_fits()?;
-        joint::fit(&self.rows, &self.bases, base_fits, effects, None, (split, options), done)
+        let sample = (!effects.is_empty() && !self.is_sample)
+            .then(|| self.sampled_by_fold(SEARCH_ROWS))
+            .filter(|sample| sample.row_count() < self.row_count());
+        // Where a sample determines too little, all rows are searched.
+        let near = sample.and_then(|sample| sample.fit_once(effects, options).ok());
+        let how = (split, options);
+        joint::fit(&self.rows, &self.bases, base_fits, effects, near.as_ref(), how, done)
+    }
+
+    /// A fit without cross-validation.
+    fn fit_once(&self, effects: &[EffectTerm], options: FitOptions) -> Result<JointFit, FitError> {
+        let how = (CvSplit::Recordings(0), options);
+        joint::fit(&self.rows, &self.bases, self.base_fits()?, effects, None, how, |_| ())
     }
 
     /// The same, from a fit `near` of these effects to a sample of the rows ([`FitSetup::sampled`]): the shapes of the effects
@@ -207,8 +234,19 @@ fn left_out(campaign: &Campaign, rows: &[SensorRows]) -> Vec<Notice> {
     let sensors = campaign.sensors().into_iter();
     let without = sensors.filter(|sensor| !rows.iter().any(|own| own.sensor == *sensor));
     let of_sensors = without.map(|sensor| {
+        let is_incomplete = |recording: &&Recording| {
+            let mut forces = own_forces(sensor).into_iter();
+            !forces.all(|force| recording.forces.contains_key(&force))
+        };
+        let incomplete = campaign.recordings.iter().filter(is_incomplete);
+        let names: Vec<&str> = incomplete.map(|recording| recording.name.as_str()).collect();
+        let place = if names.len() == campaign.recordings.len() {
+            String::new()
+        } else {
+            format!(" in recording {}", names.join(", "))
+        };
         notice(format!(
-            "sensor {sensor} was not fitted, since f{sensor}_x_n and f{sensor}_z_n were not both recorded"
+            "sensor {sensor} was not fitted, since f{sensor}_x_n and f{sensor}_z_n were not both recorded{place}"
         ))
     });
     let stride = rows.iter().map(|rows| rows.stride).max().unwrap_or(1);

@@ -275,7 +275,7 @@ fn select_value(searches: &mut [ShapeSearch], i: usize, j: usize, tried: &[f64],
         let mut value = tried[place];
         let index = search.problem.ranges()[i].start + j;
         let is_own = matches!(search.problem.effects[i], EffectTerm::Expression(_))
-            || search.problem.parameters[index].limited;
+            || search.problem.parameters[index].is_state;
         if !across && is_own {
             let own = |place: usize| by_sensor[place][sensor].iter().sum::<f64>();
             let best = (0..tried.len()).min_by(|a, b| own(*a).total_cmp(&own(*b)));
@@ -284,7 +284,7 @@ fn select_value(searches: &mut [ShapeSearch], i: usize, j: usize, tried: &[f64],
         }
         search.values[index] = value;
         // The prior of an initial state stays at rest.
-        if !search.problem.parameters[index].limited {
+        if !search.problem.parameters[index].is_state {
             search.problem.parameters[index].start = value;
         }
         search.problem.parameters[index].preset_sigma =

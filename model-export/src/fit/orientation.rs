@@ -197,7 +197,7 @@ impl Check<'_> {
             return self.hall(
                 &columns(strongest),
                 format!("the field at rest is {:.0} G and the design gives {:.0} G: its sign is flipped", rest[strongest], expected[strongest]),
-                "multiply the column by -1, or, if the magnet sits the other way round, give remanence_t the other sign in recording.toml",
+                "multiply the column by -1 (scale = -1 in a mapping), or, if the magnet sits the other way round, give remanence_t the other sign in recording.toml",
             );
         }
         Ok(())
@@ -253,28 +253,31 @@ impl Check<'_> {
         for force in 0..2 {
             let Some(share) = own(force) else { continue };
             let axis = ["x", "z"][force];
-            if is_small[force] && (share <= SCALE || unit_by_mistake(share, axis).is_empty()) {
+            // A small force of the right unit is mainly noise, which explains nothing.
+            let is_scaled = share > SCALE
+                && (self.slopes.explained > EXPLAINED || !unit_by_mistake(share, axis).is_empty());
+            if is_small[force] && !is_scaled {
                 continue;
             }
             if share <= -1.0 / SCALE {
                 return self.force(
                     force,
                     format!("the field along {axis} of sensor {} falls where this force rises: one of the two has its sign flipped", self.sensor),
-                    "multiply the force column by -1 if the reference is mounted the other way round, else the field column",
+                    "multiply the force column by -1 (scale = -1 in a mapping) if the reference is mounted the other way round, else the field column",
                 );
             }
             if share < 1.0 / SCALE {
                 return self.force(
                     force,
                     format!("sensor {} has {share:.2} of the sensitivity of the design along {axis}{}", self.sensor, unit_by_mistake(share, axis)),
-                    "check the force's unit (newtons), the field's unit, and the stiffness in recording.toml",
+                    "check the force's unit (newtons), the field's unit, and stiffness, gap and magnet in recording.toml",
                 );
             }
             if share > SCALE {
                 return self.force(
                     force,
                     format!("sensor {} has {share:.1} times the sensitivity of the design along {axis}{}", self.sensor, unit_by_mistake(share, axis)),
-                    "check the force's unit (newtons, not kilograms), the field's unit, and the stiffness in recording.toml",
+                    "check the force's unit (newtons, not kilograms), the field's unit, and stiffness, gap and magnet in recording.toml",
                 );
             }
         }

@@ -176,8 +176,10 @@ pub struct FreeParameter {
     pub scale: f64,
     /// Whether the parameter is a positive shape, scaled logarithmically.
     pub relative: bool,
-    /// Whether the value is limited to -1 to 1; beyond, the field does not depend on it.
-    pub limited: bool,
+    /// Limits of the value; beyond, the field does not depend on it.
+    pub limits: Option<(f64, f64)>,
+    /// Whether it is the initial state of a memory.
+    pub is_state: bool,
     /// Index of the only recording whose field depends on it, if there is one.
     pub recording: Option<usize>,
     /// Whether all sensors share the value.
@@ -214,7 +216,8 @@ impl FreeParameter {
             start,
             scale,
             relative,
-            limited: parameter.kind == ParameterKind::InitialState,
+            limits: parameter.limits,
+            is_state: parameter.kind == ParameterKind::InitialState,
             recording: parameter.recording,
             shared: parameter.shared,
             refit_per_fold: parameter.is_coefficient(),
@@ -224,11 +227,12 @@ impl FreeParameter {
 
     /// Value in its unit.
     pub fn value(&self, scaled: f64) -> f64 {
-        if self.relative {
+        let value = if self.relative {
             self.start * libm::exp(self.scale * scaled)
         } else {
             self.start + self.scale * scaled
-        }
+        };
+        self.limits.map_or(value, |(low, high)| value.clamp(low, high))
     }
 
     /// Scaled value of a value.
@@ -242,7 +246,13 @@ impl FreeParameter {
 
     /// The scaled value, within its limits.
     pub fn within_limits(&self, scaled: f64) -> f64 {
-        if self.limited { self.to_scaled(self.value(scaled).clamp(-1.0, 1.0)) } else { scaled }
+        if self.limits.is_some() { self.to_scaled(self.value(scaled)) } else { scaled }
+    }
+
+    /// Whether the field depends on the parameter downwards only, at least at an upper limit.
+    pub fn is_in_upper_half(&self, scaled: f64) -> bool {
+        self.limits
+            .is_some_and(|(low, high)| scaled > 0.5 * (self.to_scaled(low) + self.to_scaled(high)))
     }
 
     /// Derivative of the value to the scaled value.

@@ -40,7 +40,12 @@ const BUFFER_BYTES: usize = 1 << 16;
 pub struct CsvReader {
     path: PathBuf,
     reader: csv::Reader<BoundedReader>,
+    /// Whether decimals may follow a comma: where cells are separated by semicolons.
+    has_decimal_commas: bool,
 }
+
+/// Separators of foreign tables besides the comma.
+const FOREIGN_SEPARATORS: [char; 2] = [';', '\t'];
 
 /// Number of rows from which the typical period of a clock is estimated.
 pub const PERIOD_ROWS: usize = 1000;
@@ -74,10 +79,24 @@ impl CsvReader {
     /// # Errors
     /// It cannot be opened, or is not compressed although its name says so.
     pub fn open(path: &Path) -> Result<Self, DataError> {
+        Self::open_separated(path, ',')
+    }
+
+    /// The same for a foreign table, whose cells may be separated by semicolons or tabs.
+    ///
+    /// # Errors
+    /// As [`CsvReader::open`].
+    pub fn open_foreign(path: &Path) -> Result<Self, DataError> {
+        let mut header = csv::ByteRecord::new();
+        Self::open(path)?.read(&mut header)?;
+        Self::open_separated(path, foreign_separator(&column_names(&header)).unwrap_or(','))
+    }
+
+    fn open_separated(path: &Path, separator: char) -> Result<Self, DataError> {
         let unreadable = |error| ErrorKind::Unreadable(error).at(Location::file(path));
         let mut file = input::open(path)?;
         if !is_compressed(path) {
-            return Ok(Self::new(path, BoundedReader::new(Box::new(file), None)));
+            return Ok(Self::new(path, BoundedReader::new(Box::new(file), None), separator));
         }
         let mut magic = [0; 2];
         let length = file.read(&mut magic).map_err(unreadable)?;
@@ -87,23 +106,24 @@ impl CsvReader {
         }
         let compressed = file.metadata().map_err(unreadable)?.len();
         let decoder = Box::new(flate2::read::MultiGzDecoder::new(file));
-        Ok(Self::new(path, BoundedReader::new(decoder, Some(compressed))))
+        Ok(Self::new(path, BoundedReader::new(decoder, Some(compressed)), separator))
     }
 
     /// Reads a table from its text; `path` is that of its source.
     pub fn from_text(path: &Path, text: Vec<u8>) -> Self {
-        Self::new(path, BoundedReader::new(Box::new(Cursor::new(text)), None))
+        Self::new(path, BoundedReader::new(Box::new(Cursor::new(text)), None), ',')
     }
 
-    fn new(path: &Path, input: BoundedReader) -> Self {
+    fn new(path: &Path, input: BoundedReader, separator: char) -> Self {
         let reader = csv::ReaderBuilder::new()
             .has_headers(false)
             .flexible(true)
             // Loggers write about themselves before the header.
             .comment(Some(b'#'))
+            .delimiter(u8::try_from(separator).unwrap_or(b','))
             .buffer_capacity(BUFFER_BYTES)
             .from_reader(input);
-        Self { path: path.to_path_buf(), reader }
+        Self { path: path.to_path_buf(), reader, has_decimal_commas: separator == ';' }
     }
 
     /// Line of the next record.
@@ -131,8 +151,27 @@ impl CsvReader {
             let kind = ErrorKind::TooManyColumns { found: record.len(), max: MAX_COLUMNS };
             return Err(kind.at(place));
         }
+        if self.has_decimal_commas && record.iter().any(has_decimal_comma) {
+            *record = record.iter().map(with_decimal_point).collect();
+        }
         Ok(found)
     }
+}
+
+/// The separator of a table whose header seems to have one column; `None` where it has several, or is one.
+fn foreign_separator(header: &[String]) -> Option<char> {
+    let [only] = header else { return None };
+    FOREIGN_SEPARATORS.into_iter().find(|separator| only.contains(*separator))
+}
+
+/// Whether a cell is a number with a comma before its decimals.
+fn has_decimal_comma(cell: &[u8]) -> bool {
+    cell.contains(&b',') && cell.iter().all(|byte| b"0123456789,+-eE ".contains(byte))
+}
+
+fn with_decimal_point(cell: &[u8]) -> Vec<u8> {
+    let is_decimal = has_decimal_comma(cell);
+    cell.iter().map(|&byte| if is_decimal && byte == b',' { b'.' } else { byte }).collect()
 }
 
 /// Names of the columns in a header record.
@@ -177,6 +216,11 @@ impl CsvTable {
         Self::new(path, CsvReader::open(path)?)
     }
 
+    /// Opens a foreign table, see [`CsvReader::open_foreign`].
+    pub fn open_foreign(path: &Path) -> Result<Self, DataError> {
+        Self::new(path, CsvReader::open_foreign(path)?)
+    }
+
     /// Reads a table from its text; `path` is that of its source.
     pub fn from_text(path: &Path, text: Vec<u8>) -> Result<Self, DataError> {
         Self::new(path, CsvReader::from_text(path, text))
@@ -195,9 +239,7 @@ impl CsvTable {
             return Err(ErrorKind::NotText.at(Location::file(path).line(1)));
         }
         let header = column_names(&record);
-        if let [only] = header.as_slice()
-            && let Some(separator) = [';', '\t'].into_iter().find(|c| only.contains(*c))
-        {
+        if let Some(separator) = foreign_separator(&header) {
             return Err(ErrorKind::WrongSeparator { separator }.at(Location::file(path).line(1)));
         }
         let mut before = BTreeSet::new();
@@ -292,7 +334,22 @@ impl CsvTable {
         }
     }
 
+    /// The next row of the file; one without a time is left out where the clock is optional.
     fn read_row(&mut self) -> Result<Option<CsvRow>, DataError> {
+        loop {
+            match self.read_any_row()? {
+                Some(row) if row.cells[self.time_column].is_nan() && self.has_optional_clock() => {}
+                Some(row) => return self.accepted(row).map(Some),
+                None => return Ok(None),
+            }
+        }
+    }
+
+    fn has_optional_clock(&self) -> bool {
+        self.rules[self.time_column] == CellRule::Optional
+    }
+
+    fn read_any_row(&mut self) -> Result<Option<CsvRow>, DataError> {
         let line = self.reader.line();
         if !self.reader.read(&mut self.record)? {
             return Ok(None);
@@ -312,13 +369,17 @@ impl CsvTable {
             }
             cells.push(value);
         }
-        let row = CsvRow { line, cells };
+        Ok(Some(CsvRow { line, cells }))
+    }
+
+    /// Checks the clock of a row and remembers it.
+    fn accepted(&mut self, row: CsvRow) -> Result<CsvRow, DataError> {
         self.check_clock(&row)?;
         match &mut self.previous {
             Some(previous) => previous.cells.copy_from_slice(&row.cells),
             None => self.previous = Some(row.clone()),
         }
-        Ok(Some(row))
+        Ok(row)
     }
 
     fn check_clock(&self, row: &CsvRow) -> Result<(), DataError> {

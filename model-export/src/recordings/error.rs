@@ -170,7 +170,7 @@ pub enum ErrorKind {
         "the output path exists and was not written by magpie; it is not overwritten: choose another path"
     )]
     OutputExists,
-    #[error("output path exists; refusing to overwrite")]
+    #[error("exists; choose another path or remove it: nothing is overwritten")]
     PathExists,
     #[error(
         "this is not a text file; if it is compressed, its name must end in .csv.gz, else save it as plain CSV (comma, UTF-8)"
@@ -255,6 +255,17 @@ impl ErrorKind {
     /// A [`ErrorKind::BadValue`].
     pub fn bad_value(found: impl Into<String>, advice: impl Into<String>) -> Self {
         Self::BadValue { found: found.into(), advice: advice.into() }
+    }
+
+    /// Whether the values are those of another unit or clock.
+    pub fn is_of_unit(&self) -> bool {
+        matches!(
+            self,
+            Self::ClockUnit { .. }
+                | Self::Implausible { .. }
+                | Self::OutOfRange { .. }
+                | Self::WindowTooLong { .. }
+        )
     }
 
     /// Adds the location.

@@ -85,11 +85,20 @@ fn import_one(
     );
     let (mut hall, mut force) = (hall?, force?);
     let origin_us = hall.first_time_us()?;
+    let force_path = folder.join("force.csv.gz");
     let (hall, force) = rayon::join(
-        || hall.write(&folder.join("hall.csv.gz"), origin_us),
-        || force.write(&folder.join("force.csv.gz"), origin_us),
+        || hall.write(&folder.join("hall.csv.gz"), origin_us, false),
+        || force.write(&force_path, origin_us, true),
     );
     let ((hall_rows, _, last_us), (force_rows, measured, _)) = (hall?, force?);
+    // Without any force the times are kept.
+    if measured == 0 {
+        SourceTable::open(&mapping.force, CellRule::Optional, mapping_path, source)?.write(
+            &force_path,
+            origin_us,
+            false,
+        )?;
+    }
     let start_us = if mapping.one_clock {
         origin_us - *start.first_us.get_or_insert(origin_us)
     } else {
@@ -156,7 +165,7 @@ impl SourceTable {
         let mut table = if mcap::is_bag(&path) {
             bag_table(mapping, rule, &path)?
         } else {
-            CsvTable::open_file(&path)?
+            CsvTable::open_foreign(&path)?
         };
         let index = |name: &str| {
             table.header().iter().position(|column| column == name).ok_or_else(|| {
@@ -193,18 +202,17 @@ impl SourceTable {
         for column in &columns {
             rules[column.index] = rule;
         }
-        rules[clock] = CellRule::Number;
+        // A row without a time is one of the other table of the same file.
+        rules[clock] = CellRule::Optional;
         table.set_rules(clock, rules);
         let clock_factor =
             conversion_factor(mapping_path, &mapping.clock.unit, "t_us", &mapping.clock.from)?;
-        Ok(Self {
-            table,
-            clock,
-            clock_factor,
-            clock_offset_us: mapping.clock.offset_s * 1e6,
-            columns,
-            attitude,
-        })
+        let first = match mapping.clock.from_first_row {
+            true => table.peek()?.map_or(0.0, |row| row.cells[clock] * clock_factor),
+            false => 0.0,
+        };
+        let clock_offset_us = mapping.clock.offset_s * 1e6 - first;
+        Ok(Self { table, clock, clock_factor, clock_offset_us, columns, attitude })
     }
 
     /// Time of the first row, which is not consumed.
@@ -216,8 +224,14 @@ impl SourceTable {
         first.ok_or_else(|| ErrorKind::NoRows.at(Location::file(self.table.path())))
     }
 
-    /// Writes all rows. Returns the number of rows, the number of rows with any value, and the last time.
-    fn write(&mut self, path: &Path, origin_us: f64) -> Result<(u64, u64, f64), DataError> {
+    /// Writes all rows, or only those `with_values`: where one file holds both tables, most of its rows have no force. Returns the
+    /// number of rows, the number of rows with any value, and the last time.
+    fn write(
+        &mut self,
+        path: &Path,
+        origin_us: f64,
+        with_values: bool,
+    ) -> Result<(u64, u64, f64), DataError> {
         let failed = |error| ErrorKind::Unwritable(error).at(Location::file(path));
         let file = File::create(path).map_err(failed)?;
         let mut out = GzEncoder::new(BufWriter::new(file), Compression::default());
@@ -248,7 +262,9 @@ impl SourceTable {
                 }
                 attitude = Some(angles);
             }
-            writeln!(out, "{line}").map_err(failed)?;
+            if any || !with_values {
+                writeln!(out, "{line}").map_err(failed)?;
+            }
             rows += 1;
             measured += u64::from(any);
         }

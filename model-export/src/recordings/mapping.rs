@@ -64,6 +64,9 @@ pub struct ClockMapping {
     /// Added to the clock, in seconds: aligns clocks of different epochs.
     #[serde(default)]
     pub offset_s: f64,
+    /// Whether times count from the first row of the table: for loggers that begin at the same instant, with clocks of their own.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub from_first_row: bool,
 }
 
 /// Mapping of one column.
@@ -122,6 +125,12 @@ impl Mapping {
                     ErrorKind::TooManyColumns { found: table.columns.len(), max: MAX_COLUMNS };
                 return Err(kind.at(location("columns")));
             }
+        }
+        let is_relative = |table: &TableMapping| table.clock.from_first_row;
+        if mapping.one_clock && (is_relative(&mapping.hall) || is_relative(&mapping.force)) {
+            let advice = "times that count from the first row do not say when a recording began: set one_clock = false";
+            let kind = ErrorKind::bad_value("from_first_row with one_clock", advice);
+            return Err(kind.at(location("one_clock")));
         }
         let declared = mapping.covariates();
         for column in &mapping.hall.columns {

@@ -36,6 +36,7 @@ use crate::notes::UncompensatedEffect;
 use anyhow::Result;
 use model_export::effects::{EffectTerm, find};
 use model_export::fit::FitOptions;
+use model_export::fit::campaign::SEARCH_ROWS;
 use model_export::fit::joint::JointFit;
 use model_export::model_file::ModelFile;
 use model_export::recordings::Campaign;
@@ -56,10 +57,6 @@ pub mod residuals;
 pub mod selection;
 pub mod suggestions;
 pub mod verdicts;
-
-/// Rows of a recording by which effects and formulas are selected; the models of the result are fitted to all rows. Where the
-/// residual is white noise, standard errors during the selection are larger by the root of the ratio.
-pub(crate) const SELECTION_ROWS: usize = 600;
 /// Fraction of the remaining work that these last fits take.
 const ALL_ROWS: f64 = 0.7;
 /// Fraction of what then remains that the replays take.
@@ -281,7 +278,7 @@ pub fn diagnose(
 ) -> Result<(Diagnosis, Option<ModelRefit>)> {
     observer.begin();
     let prepared = model.fit_setup(campaign, options)?;
-    let sample = prepared.sampled_by_fold(SELECTION_ROWS);
+    let sample = prepared.sampled_by_fold(SEARCH_ROWS);
     let present: Vec<EffectTerm> = model.effect_terms(path)?;
     let (testable, untestable) = candidates(campaign, Some(model), &present, own);
     let mut selection =

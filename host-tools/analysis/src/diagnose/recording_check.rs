@@ -5,11 +5,11 @@ use crate::diagnose::candidates::{UntestableEffect, candidates};
 use crate::diagnose::residuals::{block_s, residual_tables};
 use crate::diagnose::selection::FittedModel;
 use crate::diagnose::verdicts::{insufficient, of_unjudged};
-use crate::diagnose::{Reason, SELECTION_ROWS, Verdict};
+use crate::diagnose::{Reason, Verdict};
 use anyhow::Result;
 use model_export::effects::EffectTerm;
 use model_export::fit::FitOptions;
-use model_export::fit::campaign::FitSetup;
+use model_export::fit::campaign::{FitSetup, SEARCH_ROWS};
 use model_export::fit::score_test::{CandidateScore, ScoreTest};
 use model_export::recordings::columns::Axis;
 use model_export::recordings::noise::WhiteNoise;
@@ -69,7 +69,7 @@ fn scores(
     effects: &[EffectTerm],
     options: FitOptions,
 ) -> Result<Vec<Option<CandidateScore>>> {
-    let setup = FitSetup::cylinder(campaign)?.sampled(SELECTION_ROWS);
+    let setup = FitSetup::cylinder(campaign)?.sampled(SEARCH_ROWS);
     let model = FittedModel::without_validation(&setup, Vec::new(), options)?;
     let block_s = block_s(&residual_tables(campaign, &setup, &model));
     let test = ScoreTest::new(&setup, &model.effects, &model.fit, block_s);

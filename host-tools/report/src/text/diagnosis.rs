@@ -311,11 +311,11 @@ pub fn formula_alternatives(formula: &DiscoveredFormula) -> String {
             formula.targets.join(", ")
         );
     }
-    let others: Vec<String> = other_targets.iter().map(|targets| targets.join(" with ")).collect();
+    let others: Vec<String> = other_targets.iter().map(|targets| targets.join(" and ")).collect();
     format!(
-        "It acts on {}. On these recordings the same function of {} explains the same within 2 %.",
+        "It acts on {}. On these recordings it explains the same, within 2 %, if it acts on {} instead.",
         formula.targets.join(", "),
-        others.join(", or of ")
+        others.join(", or on ")
     )
 }
 
@@ -695,7 +695,7 @@ pub fn reason(verdict: &Verdict) -> String {
         }
         Reason::OtherCause => "it fits part of a residual with another cause".to_owned(),
         Reason::Unconfirmed => {
-            "its score test is significant, but no fit with it lowers the held-out error in every fold, with a plausible magnitude"
+            "the score test is significant, but no fit with it lowers the held-out error in every fold, with a plausible magnitude"
                 .to_owned()
         }
         Reason::UnexplainedResidual(first) => format!(

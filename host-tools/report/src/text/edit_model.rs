@@ -5,6 +5,7 @@ use analysis::diagnose::candidates::MIN_GAIN;
 use analysis::edit_model::ModelEdit;
 use analysis::numbers;
 use model_export::effects::EffectTerm;
+use model_export::effects::catalogue::CLOCK_SKEW;
 use model_export::fit::cross_validation::{CvSplit, ErrorSums};
 use model_export::fit::effect_size::EffectSize;
 use model_export::fit::joint::JointFit;
@@ -28,8 +29,21 @@ pub fn format_report(edit: &ModelEdit) -> String {
         parameter_table(&edit.model.effects, &edit.sizes),
         error_table(edit),
         force_sentence(edit),
-        terminal::paragraph(&verdict(edit)),
+        terminal::paragraph(&verdict(edit)) + &clock_sentence(edit),
     )
+}
+
+/// What to do about a skew of the reference's clock: a model with it corrects the field, and no force.
+fn clock_sentence(edit: &ModelEdit) -> String {
+    let mut effects = edit.model.effects.iter().zip(&edit.sizes);
+    let Some((_, size)) = effects.find(|(effect, _)| effect.name == CLOCK_SKEW.id) else {
+        return String::new();
+    };
+    terminal::paragraph(&format!(
+        "{} is a difference of two clocks: its part of the forces' excess is of the recordings, and no device compensates it. Align the \
+         clocks instead: `cargo magpie fit` with --delay-ms {:.2}, in addition to a delay that was given.",
+        CLOCK_SKEW.id, size.value
+    ))
 }
 
 /// Estimated and typical magnitude of each effect.
@@ -68,7 +82,18 @@ fn effect_table(edit: &ModelEdit) -> String {
             remark.to_owned(),
         ]);
     }
-    format!("Effects over all sensors ± one standard deviation\n{table}\n")
+    let uncertain =
+        edit.model.effects.iter().zip(&edit.sizes).filter(|(_, size)| size.size.resolution > 0.0);
+    let notes = uncertain.map(|(effect, size)| {
+        terminal::paragraph(&format!(
+            "{}: with {} {} of systematic uncertainty, which its parameters below are without.",
+            effect.name, size.size.resolution, size.size.unit
+        ))
+    });
+    format!(
+        "Effects over all sensors ± one standard deviation\n{table}\n{}",
+        notes.collect::<String>()
+    )
 }
 
 /// Parameters of every effect and sensor, without initial states: those do not describe the gripper.

@@ -23,8 +23,10 @@ pub const EFFECT: Effect = Effect {
         EffectParameter::coefficient("creep_z", "%", 2.0),
         // The grid of the fast part spans all times, and the minimum weight makes the slow part negligible: a
         // material with a single time constant is covered.
-        EffectParameter::shape("time1", "s", &[0.7, 1.5, 3.0, 6.0, 12.0, 25.0, 50.0]),
-        EffectParameter::shape("time2", "s", &[6.0, 12.0, 25.0, 50.0]),
+        // Below a fifth of a second it would be the delay of a clock or a filter.
+        EffectParameter::shape("time1", "s", &[0.7, 1.5, 3.0, 6.0, 12.0, 25.0, 50.0])
+            .within(0.2, 500.0),
+        EffectParameter::shape("time2", "s", &[6.0, 12.0, 25.0, 50.0]).within(0.2, 500.0),
         EffectParameter::shape("weight", "", &[0.03, 0.1, 0.3, 1.0, 3.0]),
     ],
     size: MagnitudeSpec {

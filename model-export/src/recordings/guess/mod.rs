@@ -99,27 +99,47 @@ pub fn propose(sources: &[PathBuf]) -> Result<Proposal, DataError> {
     let hall_clock = draft.clock(hall, &["sensor", "hall", "mag", "board", "mcu", "device"])?;
     let force_clock =
         draft.clock(force, &["force", "state", "ref", "scale", "ft", "load", "robot"])?;
-    let offset_s = clock_offset_s((hall, &hall_clock), (force, &force_clock));
+    let mut offset_s = clock_offset_s((hall, &hall_clock), (force, &force_clock));
+    // Loggers that begin anew with each recording, or whose clocks have another distance in each.
+    let of_other = |tables: &Vec<SourceTable>| {
+        let hall = table_with(tables, Quantity::Field)?;
+        let force = table_with(tables, Quantity::Force).unwrap_or(hall);
+        clock_offset_s((hall, &hall_clock), (force, &force_clock))
+    };
+    let is_other = |other: Option<f64>| match (offset_s, other) {
+        (Some(one), Some(other)) => (one - other).abs() > SAME_OFFSET_S,
+        (one, other) => one.is_some() || other.is_some(),
+    };
+    let from_first_row = others.iter().map(of_other).any(is_other);
+    if from_first_row {
+        offset_s = None;
+        draft.check(
+            "the two clocks differ by another time in each recording: taken to begin at the same instant, from_first_row = true; \
+             `compare` tells the rest of the delay",
+        );
+    }
     if let Some(offset_s) = offset_s {
         draft.check(format!(
-            "the two clocks do not overlap: taken to begin at the same instant, offset_s = {offset_s}; a fit tells the rest of the \
-             delay"
+            "the two clocks do not overlap: taken to begin at the same instant, offset_s = {offset_s}; `compare` tells the rest \
+             of the delay"
         ));
     }
     draft.unused(&[hall, force], &[&hall_clock, &force_clock], attitude.is_some());
-    let one_clock = runs_on(hall, &hall_clock, others);
+    let one_clock = !from_first_row && runs_on(hall, &hall_clock, others);
     if one_clock {
         draft.check("each file begins after the end of the one before: taken as one running clock");
     }
     let (hall_columns, force_columns) = draft.columns.split_at(hall_end);
     let mut text = head(first, &draft, one_clock);
     let is_folder = hall.is_in_folder;
-    write_table(&mut text, "hall", hall, is_folder, (&hall_clock, None), hall_columns);
+    let of_hall = (&hall_clock, None, from_first_row);
+    write_table(&mut text, "hall", hall, is_folder, of_hall, hall_columns);
     if let Some([w, x, y, z]) = attitude {
         let [w, x, y, z] = [w, x, y, z].map(quoted);
         let _ = writeln!(text, "attitude = {{ w = {w}, x = {x}, y = {y}, z = {z} }}");
     }
-    write_table(&mut text, "force", force, is_folder, (&force_clock, offset_s), force_columns);
+    let of_force = (&force_clock, offset_s, from_first_row);
+    write_table(&mut text, "force", force, is_folder, of_force, force_columns);
     text.push_str(DESIGN);
     for (name, reason) in &draft.ignored {
         let _ = writeln!(text, "# Not imported: {} ({reason})", quoted(name));
@@ -243,6 +263,9 @@ fn runs_on(hall: &SourceTable, clock: &ClockColumn, others: &[Vec<SourceTable>])
     let follows = |pair: &[Option<(f64, f64)>]| matches!(pair, [Some((_, end)), Some((start, _))] if start > end);
     spans.len() > 1 && spans.windows(2).all(follows)
 }
+
+/// Difference of the distance of two clocks from recording to recording within which it is the same, in seconds.
+const SAME_OFFSET_S: f64 = 0.01;
 
 /// A clock column with its unit.
 struct ClockColumn {
@@ -422,7 +445,7 @@ impl Draft {
         };
         let standard: [(Quantity, &str, &[&str], &str); 6] = [
             (Quantity::Length, "mm", &["opening", "aperture", "width"], "opening_mm"),
-            (Quantity::Current, "A", &["iq"], "motor_iq_a"),
+            (Quantity::Current, "A", &["iq", "motor"], "motor_iq_a"),
             (Quantity::Angle, "rad", &["motor", "rotor"], "motor_angle_rad"),
             (Quantity::Angle, "rad", &["roll"], "roll_rad"),
             (Quantity::Angle, "rad", &["pitch"], "pitch_rad"),
@@ -436,6 +459,9 @@ impl Draft {
             let mut checks = Vec::new();
             if to == "opening_mm" && !has_word(column, &["opening"]) {
                 checks.push("taken as the opening between the fingertips".to_owned());
+            }
+            if to == "motor_iq_a" && !has_word(column, &["iq"]) {
+                checks.push("taken as the current in phase with the torque".to_owned());
             }
             if column.stated.unit.is_none() {
                 checks.push(format!("no unit: taken as {default}"));
@@ -510,8 +536,18 @@ impl Draft {
         let groups = column_groups(forces.iter().copied());
         let places: Vec<Option<usize>> =
             groups.iter().map(|group| sensor_of(group, sensors)).collect();
-        let is_taken_twice =
-            places.iter().enumerate().any(|(i, place)| places[..i].contains(place));
+        // Several forces of one sensor have different axes.
+        let mut taken: Vec<(Option<usize>, Option<char>)> = Vec::new();
+        for column in &forces {
+            let group = groups.iter().position(|group| **group == column.stated.group);
+            taken.push((group.and_then(|group| places[group]), column.stated.axis));
+        }
+        let is_taken_twice = taken.iter().enumerate().any(|(i, own)| {
+            let other = |(j, other): (usize, &(Option<usize>, Option<char>))| {
+                own == other && forces[i].stated.group != forces[j].stated.group
+            };
+            taken[..i].iter().enumerate().any(other)
+        });
         let is_only = groups.len() == 1 && sensors.len() == 1;
         let is_named = !is_taken_twice && places.iter().all(Option::is_some);
         if !is_named && !is_only {
@@ -693,7 +729,7 @@ fn write_table(
     key: &str,
     table: &SourceTable,
     is_folder: bool,
-    (clock, offset_s): (&ClockColumn, Option<f64>),
+    (clock, offset_s, from_first_row): (&ClockColumn, Option<f64>, bool),
     columns: &[ProposedColumn],
 ) {
     let _ = writeln!(text, "\n[{key}]");
@@ -705,10 +741,11 @@ fn write_table(
         clock.check.as_ref().map_or_else(String::new, |check| format!("  # check: {check}"));
     let _ = writeln!(
         text,
-        "clock = {{ from = {}, unit = \"{}\"{} }}{check}",
+        "clock = {{ from = {}, unit = \"{}\"{}{} }}{check}",
         quoted(&clock.name),
         clock.unit,
         offset_s.map_or_else(String::new, |offset_s| format!(", offset_s = {offset_s:?}")),
+        if from_first_row { ", from_first_row = true" } else { "" },
     );
     text.push_str("columns = [\n");
     for column in columns {

@@ -122,8 +122,8 @@ fn read_bag(path: &Path) -> Result<Vec<SourceTable>, DataError> {
 }
 
 fn read_table(path: &Path, is_in_folder: bool) -> Result<SourceTable, DataError> {
-    let header = CsvTable::open_file(path)?.header().to_vec();
-    read_rows(path, is_in_folder, header, CsvReader::open(path)?)
+    let header = CsvTable::open_foreign(path)?.header().to_vec();
+    read_rows(path, is_in_folder, header, CsvReader::open_foreign(path)?)
 }
 
 fn read_rows(

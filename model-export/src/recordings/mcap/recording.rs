@@ -194,6 +194,7 @@ fn mapping(
                 from: format!("{topic}.{LOG_TIME}"),
                 unit: "ns".to_owned(),
                 offset_s: 0.0,
+                from_first_row: false,
             },
             columns: with_units(names).into_iter().map(column).collect(),
             attitude: None,
