@@ -34,7 +34,7 @@ A mapping file:
   clock = { from = \"t_sensor_s\", unit = \"s\" }
   columns = [ { from = \"bx0_uT\", unit = \"uT\", to = \"s0_x_gauss\" } ]
   [force]
-  # added: where the two clocks differ
+  # added: where the two clocks differ; from_first_row = true: each begins anew with a recording
   clock = { from = \"t_state_s\", unit = \"s\", offset_s = -338.99 }
   columns = [ { from = \"weight_g\", unit = \"g\", to = \"f0_z_n\", scale = -1, missing = -1 } ]
   [design]                          # of the sensor, if known; else fit with --base polynomial

@@ -128,6 +128,11 @@ fn diagnosis_scatter_and_reading_again_are_answered() {
     let steps = found["steps"].as_array().unwrap();
     let is_found = steps.iter().any(|step| step.as_array().unwrap().contains(&json!("hysteresis")));
     assert!(is_found, "{found}");
+    let evidence = found["evidence"]["hysteresis"].as_str().unwrap();
+    assert!(
+        evidence.contains(" N, friction force") && evidence.contains(" %, p 0.0"),
+        "{evidence}"
+    );
     assert_eq!(found["plan"], Value::Null);
 
     let scatter = |covariate: &str| {

@@ -2,7 +2,8 @@
 //! comparison, which the page replaces with each model.
 
 use analysis::compare::Comparison;
-use analysis::diagnose::{Diagnosis, Reason};
+use analysis::diagnose::{Diagnosis, Reason, Verdict};
+use analysis::numbers;
 use analysis::workbench::{ResidualScatter, Workbench, WorkbenchModel};
 use maud::{DOCTYPE, PreEscaped, html};
 use model_export::effects::excitation::BUILT_IN_COVARIATES;
@@ -14,7 +15,7 @@ use crate::html::diagnosis::verdicts::planned;
 use crate::html::plot::{Along, axes, figure, px, stroke};
 use crate::html::{attribution, errors, head, histograms, map, palette, summary, traces};
 use crate::text::comparison::{validation, verdict};
-use crate::text::diagnosis::{force_headline, missing_columns};
+use crate::text::diagnosis::{force_headline, is_present, magnitude, missing_columns};
 use crate::text::notes;
 
 /// The page, without a model; its script asks for one. With `live` it shows a gripper.
@@ -181,6 +182,11 @@ pub fn formula_names(bench: &Workbench) -> Value {
 
 /// A diagnosis: its sentences, and what can be added.
 pub fn diagnosis(diagnosis: &Diagnosis) -> Value {
+    let evidence = |verdict: &Verdict| {
+        let p = numbers::decimal(verdict.p_adjusted, 3);
+        let text = format!("{}; gain {:.1} %, p {p}", magnitude(verdict), 100.0 * verdict.gain);
+        (verdict.effect.clone(), Value::from(text.trim_start_matches("; ")))
+    };
     let formula = |effect: &EffectTerm| match effect {
         EffectTerm::Expression(expression) => {
             let ranges = expression.ranges.iter();
@@ -205,6 +211,7 @@ pub fn diagnosis(diagnosis: &Diagnosis) -> Value {
         "headline": force_headline(diagnosis),
         "missing": missing_columns(diagnosis),
         "steps": steps.filter(|step| !step.is_empty()).collect::<Vec<_>>(),
+        "evidence": diagnosis.verdicts.iter().filter(|verdict| is_present(verdict)).map(evidence).collect::<serde_json::Map<_, _>>(),
         "formulas": formulas.collect::<Vec<_>>(),
         "at_floor": diagnosis.at_floor,
         "plan": diagnosis.proposal.as_ref().map(|proposal| planned(proposal).into_string()),

@@ -100,7 +100,7 @@
     if (!shown.present.length) at("present").append(element("li", { className: "note", textContent: "No effects: the base physics alone." }));
     const candidates = shown.candidates.map((one) => {
       const fall = `\u2212${(100 * Math.max(0, one.gain)).toFixed(1)} %`;
-      const verdict = one.is_significant ? `significant, p ${one.p.toFixed(3)}` : one.p < 0.05 ? `small, or not lower in every fold; p ${one.p.toFixed(3)}` : `not significant, p ${one.p.toFixed(2)}`;
+      const verdict = one.is_significant ? `significant by itself, p ${one.p.toFixed(3)}` : one.p < 0.05 ? `small, or not lower in every fold; p ${one.p.toFixed(3)}` : `not significant, p ${one.p.toFixed(2)}`;
       const item = choice(one.name, fall, `${one.title}; ${verdict}`, () => go({ effects: [...effects, one.name], formulas }));
       item.dataset.effect = one.name;
       item.title = one.physics;
@@ -190,13 +190,14 @@
     try {
       const found = await ask("diagnose", { ...model, plans });
       if (model !== current()) return;
-      const add = (text, effects, formulas) => {
-        const button = element("button", { type: "button", textContent: text });
+      const add = (text, effects, formulas, evidence) => {
+        const button = element("button", { type: "button" }, element("span", { textContent: text }));
+        if (evidence) button.append(element("span", { className: "more", textContent: evidence }));
         button.addEventListener("click", () => go({ effects: [...model.effects, ...effects], formulas: [...model.formulas, ...formulas] }));
         return element("li", {}, button);
       };
-      const parts = found.steps.flatMap((step) => step.map((name) => add(step.length > 1 ? `Add ${name}: one of ${step.length} that explain the same` : `Add ${name}`, [name], [])));
-      parts.push(...found.formulas.map((one) => add(`Add ${one.formulas.join(" and ")}`, [], one.formulas)));
+      const parts = found.steps.flatMap((step) => step.map((name) => add(step.length > 1 ? `Add ${name}: one of ${step.length} that explain the same` : `Add ${name}`, [name], [], found.evidence[name])));
+      parts.push(...found.formulas.map((one) => add(`Add ${one.formulas.join(" and ")}`, [], one.formulas, `gain ${(100 * one.gain).toFixed(1)} %, p ${one.p.toFixed(3)}`)));
       const nothing = found.at_floor ? "No missing effect was found: the residual is at its noise floor." : "Neither the catalogue nor formulas explain what is left.";
       result.replaceChildren(
         element("p", { className: "note", textContent: [found.missing.trim(), found.headline].filter(Boolean).join(" ") }),
