@@ -24,7 +24,7 @@ use crate::diagnose::candidates::{UntestableEffect, candidates, screen};
 use crate::diagnose::observer::Observer;
 use crate::diagnose::residuals::{block_s, residual_tables, residuals_against};
 use crate::diagnose::selection::FittedModel;
-use crate::diagnose::{Diagnosis, diagnose};
+use crate::diagnose::{Diagnosis, Scope, diagnose};
 use crate::edit_model::check_effects;
 
 /// The models of a campaign.
@@ -230,8 +230,9 @@ impl Workbench {
         let campaign = (&self.campaign, self.reader.alignment);
         let path = Path::new("model.toml");
         let observer = Observer::default();
+        let scope = Scope { plans, ..Scope::CATALOGUE };
         let (diagnosis, _) =
-            diagnose(campaign, &model.model, path, &[], plans, self.options, &observer)?;
+            diagnose(campaign, &model.model, path, &[], scope, self.options, &observer)?;
         Ok(diagnosis)
     }
 

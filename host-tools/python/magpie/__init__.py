@@ -6,6 +6,7 @@ in seconds, unless a name ends in another unit. Errors of input are `MagpieError
 """
 
 from magpie._device import Device, Estimates
+from magpie._effects import Effect, EffectFit, fit_effect
 from magpie._magpie import MagpieError, __version__
 from magpie._results import (
     Comparison,
@@ -29,6 +30,7 @@ from magpie._calibration import (
     fit,
     remove,
     replay,
+    search_formulas,
     simulate,
 )
 
@@ -38,6 +40,8 @@ __all__ = [
     "Device",
     "Diagnosis",
     "Edit",
+    "Effect",
+    "EffectFit",
     "Estimates",
     "Fit",
     "ForceError",
@@ -54,7 +58,9 @@ __all__ = [
     "effects",
     "export",
     "fit",
+    "fit_effect",
     "remove",
     "replay",
+    "search_formulas",
     "simulate",
 ]

@@ -177,10 +177,27 @@ def diagnose(
     ``exprs``: formulas ``'NAME: TARGET = FORMULA'``, ``ranges`` those of their nonlinear parameters. ``progress`` is called with the
     stage and the share done (0 to 1). Ctrl-C, or an exception in ``progress``, ends it early.
     """
-    spans = _ranges(ranges)
-    data = json.loads(
-        _magpie.diagnose(Path(model), Path(campaign), list(exprs), spans, plan, progress, delay_ms, seed)
-    )
+    return _diagnosis(model, campaign, exprs, ranges, plan, True, progress, delay_ms, seed)
+
+
+def search_formulas(
+    model: PathLike,
+    campaign: PathLike,
+    *,
+    progress: Callable[[str, float], Any] | None = None,
+    delay_ms: float = 0.0,
+    seed: int = 1,
+) -> Diagnosis:
+    """Formulas of the covariates that explain what the model leaves, without asking the catalogue first: ``formulas`` of the result.
+
+    None are searched where the error of the field is at its noise floor. ``progress`` as in `diagnose`.
+    """
+    return _diagnosis(model, campaign, (), None, False, False, progress, delay_ms, seed)
+
+
+def _diagnosis(model, campaign, exprs, ranges, plan, catalogue, progress, delay_ms, seed) -> Diagnosis:
+    options = (list(exprs), _ranges(ranges), plan, catalogue, progress, delay_ms, seed)
+    data = json.loads(_magpie.diagnose(Path(model), Path(campaign), *options))
     names = Verdict.__dataclass_fields__
     verdicts = [Verdict(**{name: verdict[name] for name in names}) for verdict in data["verdicts"]]
     return Diagnosis(data, data["accepted"], verdicts, data["at_floor"])

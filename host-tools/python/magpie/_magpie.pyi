@@ -37,6 +37,7 @@ def diagnose(
     exprs: list[str],
     ranges: list[Range],
     plans: bool,
+    catalogue: bool,
     progress: Callable[[str, float], Any] | None,
     delay_ms: float,
     seed: int,

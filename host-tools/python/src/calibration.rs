@@ -7,7 +7,7 @@ use std::sync::{Mutex, PoisonError};
 use analysis::compare::campaign_reader::{Caching, ScannedCampaign, read_campaign};
 use analysis::compare::pipeline;
 use analysis::diagnose::observer::Observer;
-use analysis::diagnose::{self, Diagnosis};
+use analysis::diagnose::{self, Diagnosis, Scope};
 use analysis::edit_model::{edited_effects, find_effects, parse_formulas, refit};
 use analysis::fit::fit_model;
 use analysis::notes::{Note, check_compensated};
@@ -118,6 +118,7 @@ fn diagnose_campaign(
     exprs: Vec<String>,
     ranges: Vec<Range>,
     plans: bool,
+    catalogue: bool,
     progress: Option<Py<PyAny>>,
     delay_ms: f64,
     seed: u64,
@@ -152,8 +153,9 @@ fn diagnose_campaign(
             || stop.load(Ordering::Relaxed),
         );
         let options = options(seed);
+        let scope = Scope { catalogue, plans };
         let (mut diagnosis, _) =
-            diagnose::diagnose((&rows, alignment), &file, &model, &own, plans, options, &observer)?;
+            diagnose::diagnose((&rows, alignment), &file, &model, &own, scope, options, &observer)?;
         drop(observer);
         diagnosis.findings = findings;
         diagnosis.set_suggestion(&own, file.base, delay_ms, is_fitted_here);

@@ -139,6 +139,13 @@ def test_errors_have_a_place(tmp_path, fitted):
         magpie.Device(fitted.model).run({"s0_x_gauss": [math.nan]})
 
 
+def test_formulas_are_searched_without_the_catalogue(ripple, fitted):
+    found = magpie.search_formulas(fitted.model, ripple)
+    assert found.verdicts == [] and found.accepted == []
+    assert [formula["name"] for formula in found.formulas] == ["formula_1"]
+    assert "sin(motor_angle_rad)" in found.formulas[0]["effects"][0]["expression"]
+
+
 def test_simulation_is_diagnosed_and_exported(tmp_path):
     simulated = magpie.simulate(
         tmp_path / "campaign", "viscous_lag=12", sensors=1, seconds=12.0, seed=3

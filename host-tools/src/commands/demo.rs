@@ -6,7 +6,7 @@ use analysis::compare::campaign_reader::{Caching, ScannedCampaign};
 use analysis::compare::pipeline::{compare_scanned, setup_errors_of};
 use analysis::compare::{Comparison, ForceError};
 use analysis::diagnose::observer::Observer;
-use analysis::diagnose::{Diagnosis, diagnose};
+use analysis::diagnose::{Diagnosis, Scope, diagnose};
 use analysis::edit_model::{find_effects, refit};
 use analysis::fit::{CampaignFit, fit_model};
 use analysis::progress;
@@ -152,7 +152,7 @@ fn diagnosed(base: &CampaignFit, model_path: &Path, options: FitOptions) -> Resu
     let observer = Observer::new(|stage, share| bar.set(stage, share), |_| (), || false);
     let campaign = (&base.campaign, ALIGNMENT);
     let (diagnosis, _) =
-        diagnose(campaign, &base.model, model_path, &[], false, options, &observer)?;
+        diagnose(campaign, &base.model, model_path, &[], Scope::CATALOGUE, options, &observer)?;
     drop(observer);
     bar.finish();
     Ok(diagnosis)

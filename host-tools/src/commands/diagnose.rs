@@ -15,7 +15,7 @@ use analysis::compare::campaign_reader::{Caching, ScannedCampaign};
 use analysis::compare::pipeline::{compare_scanned, setup_errors_of};
 use analysis::diagnose::observer::{FirstCandidate, Observer};
 use analysis::diagnose::recording_plan::RecordingProposal;
-use analysis::diagnose::{Diagnosis, diagnose};
+use analysis::diagnose::{Diagnosis, Scope, diagnose};
 use report::text::diagnosis::{format_report, to_json};
 use report::text::terminal;
 use sim::campaign::plan::RecordingPlan;
@@ -120,7 +120,7 @@ pub fn run(args: &Args) -> Result<()> {
                 &model,
                 &input.model,
                 &own,
-                args.plan.is_some(),
+                Scope { plans: args.plan.is_some(), ..Scope::CATALOGUE },
                 options,
                 &observer,
             )?;

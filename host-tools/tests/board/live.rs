@@ -148,7 +148,7 @@ fn foxglove_receives_every_tick_and_the_layout_shows_existing_topics() {
         assert!(fields(topic).iter().any(|own| own == field), "{topic}.{field}");
         count += 1;
     }
-    assert!(count > 30, "{count}");
+    assert!(count >= 30, "{count}");
 }
 
 #[test]

@@ -221,6 +221,11 @@ impl EffectTerm {
         }
     }
 
+    /// Whether it has a state at the start of each recording.
+    pub fn has_initial_state(&self) -> bool {
+        self.parameters(1).iter().any(|parameter| parameter.kind == ParameterKind::InitialState)
+    }
+
     /// Definition of its magnitude.
     pub fn size(&self) -> MagnitudeSpec {
         match self {

@@ -59,6 +59,10 @@ pub struct FitSetup {
 /// of the result are fitted to all rows. Where the residual is white noise, standard errors during the selection are larger by the
 /// root of the ratio.
 pub const SEARCH_ROWS: usize = 600;
+/// Residual in noise floors up to which a fit with initial states is at its minimum.
+const SETTLED: f64 = 1.1;
+/// Share of the error by which a search on all rows must be better than one on a sample.
+const CLEARLY: f64 = 0.01;
 
 impl FitSetup {
     /// With the cylinder base, for every sensor with both forces recorded; the others are reported as notices.
@@ -189,10 +193,23 @@ impl FitSetup {
         let sample = (!effects.is_empty() && !self.is_sample)
             .then(|| self.sampled_by_fold(SEARCH_ROWS))
             .filter(|sample| sample.row_count() < self.row_count());
-        // Where a sample determines too little, all rows are searched.
-        let near = sample.and_then(|sample| sample.fit_once(effects, options).ok());
         let how = (split, options);
-        joint::fit(&self.rows, &self.bases, base_fits, effects, near.as_ref(), how, done)
+        let fit = |near: Option<&JointFit>| {
+            joint::fit(&self.rows, &self.bases, base_fits, effects, near, how, &done)
+        };
+        let near = sample.and_then(|sample| sample.fit_once(effects, options).ok());
+        let of_sample = near.and_then(|near| fit(Some(&near)).ok());
+        // Where a sample determines too little, all rows are searched: also for the states of friction at the start of a recording,
+        // where structure is left.
+        let Some(of_sample) = of_sample else { return fit(None) };
+        let rms_g = |fit: &JointFit| fit.tally().mean_square().sqrt();
+        let has_states = effects.iter().any(EffectTerm::has_initial_state);
+        if !has_states || rms_g(&of_sample) <= SETTLED * of_sample.tally().floor_g() {
+            return Ok(of_sample);
+        }
+        let direct = fit(None)?;
+        let is_better = rms_g(&direct) < (1.0 - CLEARLY) * rms_g(&of_sample);
+        Ok(if is_better { direct } else { of_sample })
     }
 
     /// A fit without cross-validation.

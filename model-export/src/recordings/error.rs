@@ -170,7 +170,7 @@ pub enum ErrorKind {
         "the output path exists and was not written by magpie; it is not overwritten: choose another path"
     )]
     OutputExists,
-    #[error("exists; choose another path or remove it: nothing is overwritten")]
+    #[error("exists: refusing to overwrite; choose another path, or remove it")]
     PathExists,
     #[error(
         "this is not a text file; if it is compressed, its name must end in .csv.gz, else save it as plain CSV (comma, UTF-8)"

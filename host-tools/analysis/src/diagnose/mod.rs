@@ -261,8 +261,24 @@ pub struct StaircaseStep {
     pub floor_g: f64,
 }
 
+/// What a diagnosis examines besides the user's own effects.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Scope {
+    /// The effects of the catalogue; without them only formulas are searched.
+    pub catalogue: bool,
+    /// Recordings for what is open.
+    pub plans: bool,
+}
+
+impl Scope {
+    /// The catalogue, without plans.
+    pub const CATALOGUE: Self = Self { catalogue: true, plans: false };
+    /// Formulas alone.
+    pub const FORMULAS: Self = Self { catalogue: false, plans: false };
+}
+
 /// Diagnoses which effects `model` (read from `path`) does not contain on `campaign`: those of the catalogue and the user's
-/// `own`. The campaign was read with `alignment`. With `plans` it proposes recordings for what is open. `observer` receives the
+/// `own`. The campaign was read with `alignment`. `observer` receives the
 /// progress and can end it early. The second value is the fit of `model` to the campaign, where its cross-validation is that of a comparison.
 ///
 /// # Errors
@@ -272,7 +288,7 @@ pub fn diagnose(
     model: &ModelFile,
     path: &Path,
     own: &[EffectTerm],
-    plans: bool,
+    scope: Scope,
     options: FitOptions,
     observer: &Observer,
 ) -> Result<(Diagnosis, Option<ModelRefit>)> {
@@ -280,7 +296,10 @@ pub fn diagnose(
     let prepared = model.fit_setup(campaign, options)?;
     let sample = prepared.sampled_by_fold(SEARCH_ROWS);
     let present: Vec<EffectTerm> = model.effect_terms(path)?;
-    let (testable, untestable) = candidates(campaign, Some(model), &present, own);
+    let (testable, untestable) = match scope.catalogue {
+        true => candidates(campaign, Some(model), &present, own),
+        false => (own.to_vec(), Vec::new()),
+    };
     let mut selection =
         forward_selection(campaign, (&sample, &prepared), &present, &testable, options, observer)?;
     let mut formulas = discover(campaign, &sample, &testable, &mut selection, options, observer)?;
@@ -315,7 +334,7 @@ pub fn diagnose(
         let columns = residuals_against(&sample, last, &[]);
         diagnosis.remaining = Some(RemainingStructure::of(&columns, located));
     }
-    if plans && !observer.is_stopped() {
+    if scope.plans && !observer.is_stopped() {
         let verdicts = &diagnosis.verdicts;
         diagnosis.proposal = Some(propose(
             (&sample, &prepared),

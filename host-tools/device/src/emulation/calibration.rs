@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use analysis::compare::campaign_reader::read_campaign;
 use analysis::diagnose::observer::Observer;
-use analysis::diagnose::{StaircaseStep, diagnose};
+use analysis::diagnose::{Scope, StaircaseStep, diagnose};
 use analysis::edit_model::{find_effects, refit};
 use analysis::fit::fit_model;
 use analysis::reference_delay::align_recording;
@@ -133,7 +133,7 @@ pub fn identify(
         &fit.model,
         &plain,
         &[],
-        false,
+        Scope::CATALOGUE,
         options,
         &Observer::default(),
     )?;
