@@ -474,7 +474,7 @@ fn clocks_with_another_distance_in_each_recording_count_from_the_first_row() {
     };
     let sources = [recording("1", 1.7e9), recording("2", 1.700_000_6e9)];
     let proposal = propose(&sources).unwrap();
-    assert_eq!(proposal.text.matches("from_first_row = true").count(), 2, "{}", proposal.text);
+    assert_eq!(proposal.text.matches("from_first_row = true }").count(), 2, "{}", proposal.text);
     assert!(proposal.text.contains("one_clock = false"), "{}", proposal.text);
     fs::write(at("mapping.toml"), &proposal.text).unwrap();
     import(&at("mapping.toml"), &sources, &at("campaign"), |_| ()).unwrap();
@@ -573,7 +573,7 @@ fn table_without_a_field_or_clock_is_refused() {
         ("bx_G,by_G,bz_G\n1,2,3\n1,2,3\n", "no column increases in every row"),
         ("t_s,hall_1,hall_2\n1,2,3\n2,3,4\n", "a table without a magnetic field"),
         ("t_s,HallLeft_Bn_mT\n1,2\n2,3\n", "without its axis is not allowed here; put x, y or z"),
-        ("bx_G;by_G\n1;2\n", "separated by"),
+        ("bx_G;by_G\n1;2\n", "a table without a magnetic field"),
         ("t_s,bx_G,by_G,bz_G\n", "there are no rows"),
     ] {
         fs::write(&path, content).unwrap();

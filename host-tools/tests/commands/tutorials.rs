@@ -47,12 +47,20 @@ fn design() {
 }
 
 #[test]
+fn ros2() {
+    assert!(run("ros2.md") >= 4);
+}
+
+#[test]
 fn every_tutorial_is_run() {
     let mut names: Vec<String> = std::fs::read_dir(folder())
         .unwrap()
         .map(|entry| entry.unwrap().file_name().into_string().unwrap())
         .collect();
     names.sort();
-    // The last one needs the image; the emulation's tests run it.
-    assert_eq!(names, ["calibrate.md", "design.md", "flash-and-drive.md", "missing-effects.md"]);
+    // `flash-and-drive` needs the image; the emulation's tests run it.
+    assert_eq!(
+        names,
+        ["calibrate.md", "design.md", "flash-and-drive.md", "missing-effects.md", "ros2.md"]
+    );
 }

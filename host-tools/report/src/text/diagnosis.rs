@@ -1133,8 +1133,7 @@ mod tests {
         }
         let words = unwrapped(&page);
         assert!(words.contains("by 98.4 % (family-wise p 0.001), to 1.02 times"), "{words}");
-        let others =
-            "the same function of dy_um, or of gain_x_percent with gain_y_percent explains";
+        let others = "the same, within 2 %, if it acts on dy_um, or on gain_x_percent and gain_y_percent instead";
         assert!(words.contains(others), "{words}");
         assert!(!words.contains("PARTIAL"), "{words}");
         let unknown = DiscoveredFormula { other_targets: None, ..formula() };
