@@ -114,7 +114,9 @@ def effects(browser, magpie, folder, name):
     page.click("#diagnose")
     page.wait_for_selector("#diagnosis-result li button")
     found = page.locator("#diagnosis-result li").all_inner_texts()
-    tab.check("Add hysteresis" in found and len(found) == 3, f"diagnosis: {found}")
+    friction = [text for text in found if text.startswith("Add hysteresis")]
+    stated = len(friction) == 1 and " N, friction force" in friction[0] and "gain 99" in friction[0]
+    tab.check(stated and len(found) == 3, f"diagnosis: {found}")
 
     # The prediction under the pointer or with the keyboard, then the effect itself.
     page.focus("#candidates li[data-effect=magnet_temperature] button")
