@@ -4,21 +4,12 @@ use anyhow::Result;
 use firmware::protocol::layout::{MessageLayout, SignalLayout, decode};
 use firmware::protocol::messages::{FaultEvent, GripStatus, Heartbeat, Message, Power, Timing};
 use model_export::recordings::mcap::{
-    EstimatedForce, RecordingTopics, StateTopic, TopicColumns, TopicSink,
+    EstimatedForce, McapWriter, RecordingTopics, StateTopic, TopicColumns, TopicSink,
 };
 
 /// Messages on the state of the board.
 const STATE: [&MessageLayout; 5] =
     [&Heartbeat::LAYOUT, &FaultEvent::LAYOUT, &GripStatus::LAYOUT, &Power::LAYOUT, &Timing::LAYOUT];
-
-/// Topics of the state of the board.
-pub fn state_topics() -> Vec<StateTopic<'static>> {
-    let topic = |layout: &&'static MessageLayout| StateTopic {
-        name: layout.name,
-        signals: layout.signals.iter().map(|signal| (signal.name, signal.unit)).collect(),
-    };
-    STATE.iter().map(topic).collect()
-}
 
 /// The topics of a board.
 pub struct BoardTopics<S: TopicSink> {
@@ -38,22 +29,26 @@ impl<S: TopicSink> BoardTopics<S> {
         create: impl FnOnce(TopicColumns) -> Result<RecordingTopics<S>>,
     ) -> Result<Self> {
         let numbers: Vec<u32> = sensors.iter().map(|sensor| *sensor as u32).collect();
-        let state = state_topics();
+        let state = STATE.map(|layout| StateTopic {
+            name: layout.name,
+            signals: layout.signals.iter().map(|signal| (signal.name, signal.unit)).collect(),
+        });
         let topics = create(TopicColumns { hall, force, sensors: &numbers, state: &state })?;
         Ok(Self { topics, sensors: sensors.to_vec() })
     }
 
-    /// Writes a row, and the estimates of all sensors of the board where there are any.
+    /// Writes a row.
     ///
     /// # Errors
     /// Writing failed; so for the other methods.
-    pub fn row(&mut self, time_us: f64, hall: &[f64], estimates: &[EstimatedForce]) -> Result<()> {
-        self.topics.board(time_us, hall)?;
-        if estimates.iter().any(|estimate| estimate.force_n.is_some()) {
-            let of = |sensor: &usize| estimates.get(*sensor).copied().unwrap_or_default();
-            self.topics.estimate(time_us, self.sensors.iter().map(of))?;
-        }
-        Ok(())
+    pub fn row(&mut self, time_us: f64, hall: &[f64]) -> Result<()> {
+        Ok(self.topics.board(time_us, hall)?)
+    }
+
+    /// Writes the estimates, of all sensors of the board.
+    pub fn estimates(&mut self, time_us: f64, estimates: &[EstimatedForce]) -> Result<()> {
+        let of = |sensor: &usize| estimates.get(*sensor).copied().unwrap_or_default();
+        Ok(self.topics.estimate(time_us, self.sensors.iter().map(of))?)
     }
 
     /// Writes a row of the reference.
@@ -70,10 +65,12 @@ impl<S: TopicSink> BoardTopics<S> {
         let values = STATE[place].signals.iter().map(|signal| physical(signal, frame));
         Ok(self.topics.state(place, time_us, &values.collect::<Vec<f64>>())?)
     }
+}
 
-    /// The topics without their board, to complete a file.
-    pub fn into_inner(self) -> RecordingTopics<S> {
-        self.topics
+impl BoardTopics<McapWriter> {
+    /// Completes the file.
+    pub fn finish(self) -> Result<()> {
+        Ok(self.topics.finish()?)
     }
 }
 

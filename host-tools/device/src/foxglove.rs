@@ -23,7 +23,7 @@ use sim::campaign::recording::sensor_columns;
 
 use crate::board_topics::BoardTopics;
 use crate::format::degrees;
-use crate::state::{GripperState, SensorState};
+use crate::state::{FRESH_S, GripperState, SensorState, Timestamped};
 
 /// Largest difference in microseconds between the board's clock, once set, and that of this computer; beyond, it is set again.
 const MAX_DRIFT_US: f64 = 50_000.0;
@@ -115,10 +115,10 @@ impl FoxgloveServer {
             Packet::Tick(_) => {
                 self.has_ticks = true;
                 let time_us = self.board_time_us(now_us, state);
-                self.row(time_us, state)
+                self.row(time_us, at_s, state)
             }
             Packet::Message { message: Message::Force(_), copy: 0 } if !self.has_ticks => {
-                self.row(now_us, state)
+                self.row(now_us, at_s, state)
             }
             Packet::Message { message, .. } => self.topics.message(now_us, message),
         }
@@ -134,25 +134,47 @@ impl FoxgloveServer {
         board_us + *offset_us
     }
 
-    fn row(&mut self, time_us: f64, state: &GripperState) -> Result<()> {
-        let readings = state.sensors.iter().flat_map(|sensor| match &sensor.reading {
-            Some(reading) => {
-                let [x, y, z] = reading.value.field.map(f64::from);
-                [x, y, z, degrees(reading.value.temperature)]
-            }
-            None => [f64::NAN; 4],
-        });
-        let covariates = state.covariates.map(|latest| covariate_values(&latest.value));
-        let covariates = covariates.unwrap_or_default().map(|value| value.unwrap_or(f64::NAN));
-        let hall: Vec<f64> = readings.chain(covariates).collect();
-        let estimate = |sensor: &SensorState| {
-            let [x, z] = sensor.sigma_n.map(|sigma_n| sigma_n.unwrap_or(f64::NAN));
-            EstimatedForce {
-                force_n: sensor.validity.is_in_range().then_some(sensor.force_n),
-                sigma_n: Some([x, z]),
-            }
+    fn row(&mut self, time_us: f64, at_s: f64, state: &GripperState) -> Result<()> {
+        self.topics.row(time_us, &readings(at_s, state))?;
+        let estimate = |sensor: &SensorState| EstimatedForce {
+            force_n: sensor.validity.is_in_range().then_some(sensor.force_n),
+            sigma_n: Some(sensor.sigma_n.map(|sigma_n| sigma_n.unwrap_or(f64::NAN))),
         };
         let estimates: Vec<EstimatedForce> = state.sensors.iter().map(estimate).collect();
-        self.topics.row(time_us, &hall, &estimates)
+        self.topics.estimates(time_us, &estimates)
+    }
+}
+
+/// Readings of all sensors and all covariates; NaN for those that the board has not sent within [`FRESH_S`].
+fn readings(at_s: f64, state: &GripperState) -> Vec<f64> {
+    let readings = state.sensors.iter().flat_map(|sensor| {
+        let fresh = sensor.reading.filter(|reading| at_s - reading.at_s <= FRESH_S);
+        fresh.map_or([f64::NAN; 4], |Timestamped { value, .. }| {
+            let [x, y, z] = value.field.map(f64::from);
+            [x, y, z, degrees(value.temperature)]
+        })
+    });
+    let latest = state.covariates.filter(|latest| at_s - latest.at_s <= FRESH_S);
+    let covariates = latest.map(|latest| covariate_values(&latest.value)).unwrap_or_default();
+    readings.chain(covariates.map(|value| value.unwrap_or(f64::NAN))).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use firmware::sensors::hall::HallReading;
+
+    #[test]
+    fn a_reading_that_does_not_come_any_more_is_not_repeated() {
+        let mut state = GripperState::default();
+        let value = HallReading { field: [1, -2, 3], temperature: 0 };
+        for (sensor, at_s) in state.sensors.iter_mut().zip([1.0, 1.95]) {
+            sensor.reading = Some(Timestamped { value, at_s });
+        }
+        let numbers = readings(2.0, &state);
+        assert_eq!(numbers.len(), 4 * SENSORS + COVARIATES.len());
+        assert!(numbers[..4].iter().all(|value| value.is_nan()), "{numbers:?}");
+        assert_eq!(numbers[4..7], [1.0, -2.0, 3.0]);
+        assert!(numbers[8..].iter().all(|value| value.is_nan()), "{numbers:?}");
     }
 }

@@ -1,4 +1,4 @@
-"""Physical effects written in Python: functions over arrays, fitted and judged like those of the catalogue."""
+"""Physical effects written in Python: functions over arrays, fitted and evaluated like those of the catalogue."""
 
 from __future__ import annotations
 
@@ -146,8 +146,9 @@ def _read(campaign: Path, target: Path) -> list[tuple[Path, dict[str, np.ndarray
     for description in sorted(campaign.glob("*/recording.toml")):
         source = next(path for path in (description.parent / name for name in ("hall.csv", "hall.csv.gz")) if path.exists())
         with (gzip.open(source, "rt") if source.suffix == ".gz" else source.open()) as file:
-            names = next(csv.reader(file))
-            values = np.loadtxt(file, delimiter=",", ndmin=2)
+            lines = (line for line in file if not line.startswith("#"))
+            names = next(csv.reader(lines))
+            values = np.loadtxt(lines, delimiter=",", ndmin=2)
         columns = dict(zip(names, values.T))
         for name in names:
             # Counts and times are whole numbers in a file.

@@ -4,14 +4,15 @@
 
 CAMPAIGNS is a folder of campaigns, on a disk or in an object store (any address of fsspec, such as ``s3://bucket/campaigns``). The
 work is distributed by Dask; ``--scheduler`` names a cluster that runs already. Each campaign leaves one result file, so that a run
-that was ended goes on where it stopped, and a worker that dies loses nothing. ``fleet.parquet`` has a row for each parameter,
-effect and error; its bytes depend on the campaigns alone. ``fleet.html`` shows the control charts.
+that was ended goes on where it stopped, and a worker that dies loses nothing; a task that fails is a row, and repeated by the next run. ``fleet.parquet`` has a row for each parameter,
+effect and error; its bytes depend on the campaigns alone. ``results`` keeps the model and the tables of each gripper. ``fleet.html`` shows the control charts.
 """
 
 from __future__ import annotations
 
 import argparse
 import base64
+import functools
 import hashlib
 import html
 import io
@@ -19,8 +20,7 @@ import json
 import sys
 import tempfile
 import time
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import fsspec
@@ -28,6 +28,7 @@ import numpy
 import pandas
 import pyarrow
 import pyarrow.parquet
+from fsspec.implementations.local import LocalFileSystem
 from scipy import stats
 
 import magpie
@@ -44,7 +45,6 @@ SCHEMA = pyarrow.schema(
         ("unit", pyarrow.string()),
         ("verdict", pyarrow.string()),
         ("recordings_sha256", pyarrow.string()),
-        ("tables_id", pyarrow.int64()),
     ]
 )
 # Family-wise error probability of the outliers, and of the trends.
@@ -53,6 +53,8 @@ ALPHA = 0.01
 RARE = 0.05
 # Grippers from which a scatter is estimated.
 FEWEST = 10
+# Residual in noise floors up to which a field has no unusual error.
+USUAL_FLOORS = 1.5
 # Of a normal distribution: standard deviation by median absolute deviation.
 MAD = 1.4826
 
@@ -69,13 +71,14 @@ def _name(address: str) -> str:
     return address.rstrip("/").rsplit("/", 1)[-1]
 
 
-def calibrate(address: str, *, base: str = "cylinder", seed: int = 1) -> list[dict]:
-    """Fits, diagnoses and exports one campaign; the rows of the table. An error of the recordings is a row, too."""
+def calibrate(address: str, *, base: str = "cylinder", seed: int = 1) -> tuple[list[dict], dict[str, str]]:
+    """Fits, diagnoses and exports one campaign; the rows of the table, and by suffix the model (``.toml``) and the device's tables
+    (``.rs``), with the effects that were found. An error of the recordings is a row, too."""
     files, path = fsspec.core.url_to_fs(address)
     with tempfile.TemporaryDirectory(prefix="magpie-fleet-") as folder:
         local = Path(path)
-        if not isinstance(files, fsspec.implementations.local.LocalFileSystem):
-            local = Path(folder) / "campaign"
+        if not isinstance(files, LocalFileSystem):
+            local = Path(folder) / _name(address)
             files.get(path, str(local), recursive=True)
         common = {"campaign": _name(address), "recorded": _recorded(local)}
         try:
@@ -83,7 +86,7 @@ def calibrate(address: str, *, base: str = "cylinder", seed: int = 1) -> list[di
         except magpie.MagpieError as error:
             # Paths of a temporary folder would differ between runs.
             text = str(error).replace(str(local), common["campaign"])
-            return [{**common, "kind": "problem", "name": "refused", "verdict": text}]
+            return [{**common, "kind": "problem", "name": "refused", "verdict": text}], {}
 
 
 def _recorded(campaign: Path) -> str | None:
@@ -96,7 +99,7 @@ def _recorded(campaign: Path) -> str | None:
     return None
 
 
-def _rows(campaign: Path, folder: Path, common: dict, base: str, seed: int) -> list[dict]:
+def _rows(campaign: Path, folder: Path, common: dict, base: str, seed: int) -> tuple[list[dict], dict[str, str]]:
     fitted = magpie.fit(campaign, folder / "model.toml", base=base, seed=seed)
     found = magpie.diagnose(fitted.model, campaign, seed=seed)
     hashes = "".join(recording["sha256"] for recording in fitted.data["provenance"]["recordings"])
@@ -122,11 +125,11 @@ def _rows(campaign: Path, folder: Path, common: dict, base: str, seed: int) -> l
         for name, value in (step["force"] or {}).items():
             add("error", name, value=value, unit="N", verdict=when)
         add("error", "field_floors", value=step["held_out_rms_g"] / step["floor_g"], verdict=when)
-    if base == "cylinder":
-        tables = magpie.export(_with_effects(fitted, found, campaign, folder), folder / "tables.rs")
-        for row in rows:
-            row["tables_id"] = tables.data["id"]
-    return rows
+    if base == "polynomial":
+        return rows, {".toml": fitted.model.path.read_text()}
+    model = _with_effects(fitted, found, campaign, folder)
+    tables = magpie.export(model, folder / "tables.rs")
+    return rows, {".toml": model.path.read_text(), ".rs": tables.path.read_text()}
 
 
 def _with_effects(fitted, found, campaign, folder):
@@ -143,28 +146,22 @@ def _with_effects(fitted, found, campaign, folder):
     return fitted.model
 
 
-@dataclass(frozen=True)
-class _Task:
-    address: str
-    output: str
-    base: str
-    seed: int
-
-    def run(self) -> str:
-        """Calibrates a campaign and writes its result file, if there is none of the same files."""
-        files, path = fsspec.core.url_to_fs(self.address)
-        listed = sorted((info["name"], info["size"], str(info.get("mtime", ""))) for info in files.find(path, detail=True).values())
-        key = hashlib.sha256(json.dumps([listed, self.base, self.seed, magpie.__version__]).encode()).hexdigest()
-        results, folder = fsspec.core.url_to_fs(self.output)
-        target = f"{folder}/results/{_name(self.address)}.json"
-        if results.exists(target) and json.loads(results.cat_file(target))["key"] == key:
-            return self.address
-        content = json.dumps({"key": key, "rows": calibrate(self.address, base=self.base, seed=self.seed)})
-        results.makedirs(f"{folder}/results", exist_ok=True)
-        # A worker that dies while it writes leaves no half of a result.
-        with results.transaction, results.open(target, "w") as file:
-            file.write(content)
-        return self.address
+def _calibrate_to(output: str, base: str, seed: int, address: str) -> None:
+    """Calibrates a campaign and writes its result file, if there is none of the same files."""
+    files, path = fsspec.core.url_to_fs(address)
+    listed = sorted((info["name"], info["size"], str(info.get("mtime", ""))) for info in files.find(path, detail=True).values())
+    key = hashlib.sha256(json.dumps([listed, base, seed, magpie.__version__]).encode()).hexdigest()
+    results, folder = fsspec.core.url_to_fs(output)
+    target = f"{folder}/results/{_name(address)}.json"
+    if results.exists(target) and json.loads(results.cat_file(target))["key"] == key:
+        return
+    rows, written = calibrate(address, base=base, seed=seed)
+    results.makedirs(f"{folder}/results", exist_ok=True)
+    for suffix, content in written.items():
+        results.pipe_file(target.removesuffix(".json") + suffix, content.encode())
+    # Last, and at once: a worker that dies before leaves no result.
+    with results.transaction, results.open(target, "w") as file:
+        file.write(json.dumps({"key": key, "rows": rows}))
 
 
 def run(
@@ -179,28 +176,35 @@ def run(
 ) -> pandas.DataFrame:
     """Calibrates campaigns on a Dask cluster and writes ``fleet.parquet``; returns its content.
 
-    ``client``: of a running cluster (default: one of `workers` processes of this machine, each on one core; 0: this process). ``progress`` is called
-    with the number done, the number of all, and the seconds since the start.
+    ``client``: of a running cluster (default: one of `workers` processes of this machine, each on one core; 0: this process).
+    ``progress`` is called with the number done, the number of all, and the seconds since the start.
     """
     names = [_name(address) for address in campaigns]
     if len(set(names)) < len(names):
         raise ValueError("two campaigns have one name; the name is the serial number")
-    tasks = [_Task(address, output, base, seed) for address in campaigns]
-    started = time.monotonic()
-    for done, _ in enumerate(_carried_out(tasks, client, workers), start=1):
+    task = functools.partial(_calibrate_to, output, base, seed)
+    started, failed = time.monotonic(), {}
+    for done, (address, error) in enumerate(_carried_out(task, campaigns, client, workers), start=1):
+        if error is not None:
+            failed[_name(address)] = f"{type(error).__name__}: {error}"
         if progress:
-            progress(done, len(tasks), time.monotonic() - started)
-    table = collect(output, names)
+            progress(done, len(campaigns), time.monotonic() - started)
+    table = collect(output, names, failed)
     files, folder = fsspec.core.url_to_fs(output)
     with files.open(f"{folder}/fleet.parquet", "wb") as file:
         pyarrow.parquet.write_table(table, file, compression="zstd")
     return table.to_pandas()
 
 
-def _carried_out(tasks: list[_Task], client, workers: int):
-    """Yields after each task."""
+def _carried_out(task, campaigns: Sequence[str], client, workers: int):
+    """Yields each campaign with the error that ended its task, or None."""
     if not client and workers == 0:
-        yield from map(_Task.run, tasks)
+        for address in campaigns:
+            try:
+                task(address)
+                yield address, None
+            except Exception as error:
+                yield address, error
         return
     import dask
     from distributed import Client, LocalCluster, as_completed
@@ -212,18 +216,22 @@ def _carried_out(tasks: list[_Task], client, workers: int):
             own = LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None)
         client = Client(own)
     try:
-        for future in as_completed(client.map(_Task.run, tasks, pure=False)):
-            yield future.result()
+        futures = dict(zip(client.map(task, campaigns, pure=False), campaigns))
+        for future in as_completed(futures):
+            yield futures[future], future.exception()
     finally:
         if own:
             client.close()
             own.close()
 
 
-def collect(output: str, names: Iterable[str]) -> pyarrow.Table:
-    """The rows of the result files, sorted."""
+def collect(output: str, names: Iterable[str], failed: Mapping[str, str]) -> pyarrow.Table:
+    """The rows of the result files, sorted; of a campaign whose task `failed` its error."""
     files, folder = fsspec.core.url_to_fs(output)
-    rows = [row for name in sorted(names) for row in json.loads(files.cat_file(f"{folder}/results/{name}.json"))["rows"]]
+    rows = [{"campaign": name, "kind": "problem", "name": "failed", "verdict": error} for name, error in failed.items()]
+    for name in names:
+        if name not in failed:
+            rows += json.loads(files.cat_file(f"{folder}/results/{name}.json"))["rows"]
     rows.sort(key=lambda row: (row["campaign"], row["kind"], row.get("sensor", -1), row["name"], row.get("verdict") or ""))
     return pyarrow.Table.from_pylist(rows, schema=SCHEMA)
 
@@ -255,7 +263,7 @@ def outliers(table: pandas.DataFrame) -> pandas.DataFrame:
         scores = z_scores(numpy.log(errors.value.to_numpy()), numpy.zeros(len(errors)))
         for row, score in zip(errors.itertuples(), scores):
             # What is at the floor is no outlier, however little the others scatter.
-            if score > stats.norm.isf(ALPHA / count) and row.value > 1.5:
+            if score > stats.norm.isf(ALPHA / count) and row.value > USUAL_FLOORS:
                 found.append((row.campaign, None, "error of the field", row.value, "floors", score))
     effects = table[(table.kind == "formula") | ((table.kind == "effect") & table.verdict.isin(["found", "tied"]))]
     for name, group in effects.groupby(effects.name.where(effects.kind == "effect", "a formula")):

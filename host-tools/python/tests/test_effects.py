@@ -14,7 +14,7 @@ def error_g(found):
     return found.edit.data["after"]["held_out_rms_g"]
 
 
-def test_a_function_is_fitted_and_judged_like_the_formula_of_it(ripple, fitted):
+def test_a_function_is_fitted_and_evaluated_like_its_formula(ripple, fitted):
     found = magpie.fit_effect(fitted.model, ripple, RIPPLE)
     same = magpie.add(fitted.model, ripple, exprs=["ripple: dz_um = a*sin(motor_angle_rad) + b*cos(motor_angle_rad)"])
     assert error_g(found) == pytest.approx(same.data["after"]["held_out_rms_g"], rel=1e-4)

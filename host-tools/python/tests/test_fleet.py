@@ -4,6 +4,7 @@ import gzip
 import os
 import signal
 
+import fsspec
 import numpy
 import pandas
 import pytest
@@ -57,13 +58,44 @@ def test_a_killed_worker_loses_and_repeats_nothing(campaigns, tmp_path):
     # Without a cluster, and with all but three of the results of a run that was ended.
     kept = tmp_path / "one" / "results"
     kept.mkdir(parents=True)
-    for file in sorted((tmp_path / "killed" / "results").iterdir())[3:]:
+    for file in sorted((tmp_path / "killed" / "results").glob("*.json"))[3:]:
         (kept / file.name).write_bytes(file.read_bytes())
     times = {file.name: file.stat().st_mtime_ns for file in kept.iterdir()}
     fleet.run(found, str(tmp_path / "one"), workers=0)
     assert times.items() <= {file.name: file.stat().st_mtime_ns for file in kept.iterdir()}.items()
     tables = [(tmp_path / run / "fleet.parquet").read_bytes() for run in ("killed", "one")]
     assert tables[0] == tables[1]
+
+
+def test_campaigns_and_results_may_be_in_an_object_store(campaigns, tmp_path):
+    store = fsspec.filesystem("memory")
+    for name in ("g00", "g01"):
+        store.put(str(campaigns / name), f"/fleet/campaigns/{name}", recursive=True)
+    found = fleet.find_campaigns("memory://fleet/campaigns")
+    table = fleet.run(found, "memory://fleet/out", workers=0)
+    local = fleet.run([str(campaigns / name) for name in ("g00", "g01")], str(tmp_path), workers=0)
+    pandas.testing.assert_frame_equal(table, local)
+    assert store.exists("/fleet/out/fleet.parquet")
+    for suffix, content in ((".json", "rows"), (".toml", 'campaign = "g01"'), (".rs", "static SENSORS")):
+        assert content in store.cat_file(f"/fleet/out/results/g01{suffix}").decode()
+
+
+def test_a_task_that_fails_is_a_row_and_not_the_end(campaigns, tmp_path, monkeypatch):
+    calibrate = fleet.calibrate
+
+    def fail_once(address, **options):
+        if address.endswith("g01"):
+            raise MemoryError("too large")
+        return calibrate(address, **options)
+
+    monkeypatch.setattr(fleet, "calibrate", fail_once)
+    addresses = [str(campaigns / name) for name in ("g00", "g01")]
+    table = fleet.run(addresses, str(tmp_path), workers=0)
+    (row,) = table[table.campaign == "g01"].itertuples()
+    assert (row.kind, row.verdict) == ("problem", "MemoryError: too large")
+    monkeypatch.undo()
+    table = fleet.run(addresses, str(tmp_path), workers=0)
+    assert len(table[table.campaign == "g01"]) > 20
 
 
 def test_grippers_that_differ_are_named(campaigns, tmp_path):

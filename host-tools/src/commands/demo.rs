@@ -2,9 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use analysis::compare::campaign_reader::{Caching, ScannedCampaign};
-use analysis::compare::pipeline::{compare_scanned, setup_errors_of};
-use analysis::compare::{Comparison, ForceError};
+use analysis::compare::ForceError;
+use analysis::compare::pipeline::compare;
 use analysis::diagnose::observer::Observer;
 use analysis::diagnose::{Diagnosis, Scope, diagnose};
 use analysis::edit_model::{find_effects, refit};
@@ -98,7 +97,7 @@ pub fn run(args: &Args) -> Result<()> {
     let models = add_effects(&base, &diagnosis, &args.output, options)?;
     let last = models.last().map_or(&model_path, |(_, path)| path);
     let baseline = (!models.is_empty()).then_some(&*model_path);
-    let comparison = compared(folder, last, baseline, options)?;
+    let comparison = compare(last, folder, baseline, ALIGNMENT, options)?;
     print_notes(&comparison.notes);
     let of_base = comparison.other.as_deref().unwrap_or(&comparison);
     let verdict = text::comparison::verdict(of_base);
@@ -156,19 +155,6 @@ fn diagnosed(base: &CampaignFit, model_path: &Path, options: FitOptions) -> Resu
     drop(observer);
     bar.finish();
     Ok(diagnosis)
-}
-
-/// Compares the model at `path` with the campaign, and with the model at `baseline`.
-fn compared(
-    folder: &Path,
-    path: &Path,
-    baseline: Option<&Path>,
-    options: FitOptions,
-) -> Result<Comparison> {
-    let scanned = ScannedCampaign::open(folder, ALIGNMENT, Caching::Always)?;
-    let model = ModelFile::read(path)?;
-    let findings = setup_errors_of(&scanned, &model, path)?;
-    compare_scanned((path, &model), baseline, (scanned, findings), None, options)
 }
 
 /// What is missing, with the formulas in full.

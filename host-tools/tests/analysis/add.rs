@@ -127,6 +127,19 @@ fn a_diagnosis_and_the_edit_that_it_suggests_state_the_same_errors() {
     }
 }
 
+/// Free of limits the fast part of the creep became a delay of 0.16 ms with an undetermined magnitude.
+#[test]
+fn creep_is_determined_with_a_small_skew_of_the_clocks() {
+    let dir = WorkDir::empty();
+    let effects = "--effect creep=3 --effect clock_skew=0.23";
+    dir.stdout(&format!("simulate -o campaign {effects} --sensors 2 --seconds 20 --seed 77"));
+    dir.stdout("fit campaign -o model.toml");
+    let added = dir.json("add model.toml campaign creep --json");
+    let creep = &added["effects"][0];
+    let (value, error) = (number(&creep["value"]), number(&creep["std_error"]));
+    assert!((2.5..4.5).contains(&value) && error < 0.6, "{value} ± {error}");
+}
+
 #[test]
 fn skew_of_the_clocks_is_to_be_aligned() {
     let dir = WorkDir::empty();

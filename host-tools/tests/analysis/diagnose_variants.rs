@@ -42,6 +42,19 @@ fn gain(diagnosis: &Value) -> f64 {
     diagnosis["verdicts"][0]["gain"].as_f64().unwrap()
 }
 
+/// The drift with temperature hides the curvature of the field: chosen on the field as recorded the degree would be 2, and what it
+/// lacks would look like formulas.
+#[test]
+fn degree_of_a_polynomial_is_that_without_the_temperature() {
+    let dir = WorkDir::empty();
+    let simulate = "simulate -o campaign --effect magnet_temperature --seed 4";
+    dir.stdout(&format!("{simulate} --sensors 1 --seconds 20 --recordings 3"));
+    dir.stdout("fit campaign --base polynomial -o model.toml");
+    let diagnosis = dir.json("diagnose model.toml campaign --json");
+    assert_eq!(accepted(&diagnosis), [["sensor_temperature"]]);
+    assert!(diagnosis["formulas"].as_array().unwrap().is_empty(), "{}", diagnosis["formulas"]);
+}
+
 #[test]
 fn diagnosis_is_invariant_to_order_and_offset() {
     let variants = [

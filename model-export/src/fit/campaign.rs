@@ -194,20 +194,20 @@ impl FitSetup {
             .then(|| self.sampled_by_fold(SEARCH_ROWS))
             .filter(|sample| sample.row_count() < self.row_count());
         let how = (split, options);
-        let fit = |near: Option<&JointFit>| {
-            joint::fit(&self.rows, &self.bases, base_fits, effects, near, how, &done)
+        let fit = |near: Option<&JointFit>, done: &(dyn Fn(u32) + Sync)| {
+            joint::fit(&self.rows, &self.bases, base_fits, effects, near, how, done)
         };
         let near = sample.and_then(|sample| sample.fit_once(effects, options).ok());
-        let of_sample = near.and_then(|near| fit(Some(&near)).ok());
+        let of_sample = near.and_then(|near| fit(Some(&near), &done).ok());
         // Where a sample determines too little, all rows are searched: also for the states of friction at the start of a recording,
         // where structure is left.
-        let Some(of_sample) = of_sample else { return fit(None) };
+        let Some(of_sample) = of_sample else { return fit(None, &done) };
         let rms_g = |fit: &JointFit| fit.tally().mean_square().sqrt();
         let has_states = effects.iter().any(EffectTerm::has_initial_state);
         if !has_states || rms_g(&of_sample) <= SETTLED * of_sample.tally().floor_g() {
             return Ok(of_sample);
         }
-        let direct = fit(None)?;
+        let direct = fit(None, &|_| ())?;
         let is_better = rms_g(&direct) < (1.0 - CLEARLY) * rms_g(&of_sample);
         Ok(if is_better { direct } else { of_sample })
     }

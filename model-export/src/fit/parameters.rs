@@ -249,8 +249,8 @@ impl FreeParameter {
         if self.limits.is_some() { self.to_scaled(self.value(scaled)) } else { scaled }
     }
 
-    /// Whether the field depends on the parameter downwards only, at least at an upper limit.
-    pub fn is_in_upper_half(&self, scaled: f64) -> bool {
+    /// Whether the value is nearer to its upper limit: there a derivative is taken downwards, since the field does not change beyond.
+    pub fn is_near_upper_limit(&self, scaled: f64) -> bool {
         self.limits
             .is_some_and(|(low, high)| scaled > 0.5 * (self.to_scaled(low) + self.to_scaled(high)))
     }
@@ -266,6 +266,19 @@ mod tests {
     use super::*;
     use crate::recordings::description::NominalDesign;
     use proptest::prelude::*;
+
+    #[test]
+    fn a_limited_shape_stays_within_its_limits() {
+        let shape = EffectParameter::shape("time", "s", &[0.5, 1.0, 2.0]).within(0.2, 500.0);
+        let free = FreeParameter::of(&shape);
+        assert_eq!([free.value(-50.0), free.value(50.0)], [0.2, 500.0]);
+        assert!((free.value(free.within_limits(-50.0)) - 0.2).abs() < 1e-12);
+        let scaled = free.to_scaled(3.0);
+        assert!((free.within_limits(scaled) - scaled).abs() < 1e-12);
+        // Their geometric mean is 10 s.
+        let is_near = |value: f64| free.is_near_upper_limit(free.to_scaled(value));
+        assert!(!is_near(9.0) && is_near(11.0));
+    }
 
     fn nominal() -> ForwardModel {
         ForwardModel::nominal(&NominalDesign::magpie())

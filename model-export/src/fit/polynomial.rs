@@ -215,48 +215,43 @@ const COVARIATE_ROWS: usize = 2000;
 const ROWS_PER_COEFFICIENT: usize = 20;
 /// Relative ridge of that estimate: covariates may be linearly dependent.
 const RIDGE: f64 = 1e-6;
-/// Maximum degree of the polynomial beside the covariates.
-const MAX_DEGREE_BESIDE: usize = 5;
+/// Maximum degree of the polynomial in that estimate.
+const MAX_DEGREE_OF_ESTIMATE: usize = 5;
 
 /// The rows with the field without what is linear in each covariate and rate of the forces, also in its product with a force;
-/// estimated beside a polynomial of a degree up to `degree`. `None` without a covariate that varies, or with too few rows.
+/// estimated together with a polynomial of a degree up to `degree`. `None` without a covariate that varies, or with too few rows.
 fn without_covariates(
     rows: &SensorRows,
     spans: &[(f64, f64)],
     degree: usize,
 ) -> Option<SensorRows> {
-    let mut without = rows.clone();
-    let columns: Vec<Vec<Vec<f64>>> = rows.parts.iter().map(covariate_columns).collect();
-    let count = columns.first().map_or(0, Vec::len);
-    // Recordings with other covariates.
-    if columns.iter().any(|part| part.len() != count) {
+    let parts: Vec<Vec<(&str, Vec<f64>)>> = rows.parts.iter().map(covariate_columns).collect();
+    let names = |part: &[(&str, Vec<f64>)]| part.iter().map(|(name, _)| name.to_string()).collect();
+    let all: Vec<Vec<String>> = parts.iter().map(|part| names(part)).collect();
+    if all.iter().any(|names| *names != all[0]) {
         return None;
     }
-    // Mean and scale of each.
-    let values = |column: usize| columns.iter().flat_map(move |part| &part[column]);
-    let scales: Vec<Option<(f64, f64)>> = (0..count)
-        .map(|column| {
-            let total = values(column).count().max(1) as f64;
-            let mean = values(column).sum::<f64>() / total;
-            let square = values(column).map(|value| (value - mean).powi(2)).sum::<f64>() / total;
-            (square.is_finite() && square.sqrt() > 1e-9 * mean.abs().max(1e-9))
-                .then(|| (mean, square.sqrt()))
-        })
-        .collect();
-    let basis = LegendreBasis::new(spans, degree.min(MAX_DEGREE_BESIDE));
+    let values = |column: usize| parts.iter().flat_map(move |part| &part[column].1);
+    let mean_and_deviation = |column: usize| {
+        let total = values(column).count().max(1) as f64;
+        let mean = values(column).sum::<f64>() / total;
+        let square = values(column).map(|value| (value - mean).powi(2)).sum::<f64>() / total;
+        let varies = square.is_finite() && square.sqrt() > 1e-9 * mean.abs().max(1e-9);
+        varies.then(|| (mean, square.sqrt()))
+    };
+    let scales: Vec<_> = (0..all.first().map_or(0, Vec::len)).map(mean_and_deviation).collect();
+    let basis = LegendreBasis::new(spans, degree.min(MAX_DEGREE_OF_ESTIMATE));
+    // One, and each force.
+    let linear = LegendreBasis::new(spans, 1);
     let terms = basis.terms.len();
-    let own = scales.iter().flatten().count() * (1 + spans.len());
-    // The covariates, and their products with each scaled force.
+    let own = scales.iter().flatten().count() * linear.terms.len();
     let regressors = |part: usize, row: usize, force_n: &[f64]| -> DVector<f64> {
         let mut list = basis.values(force_n);
-        for (column, scale) in columns[part].iter().zip(&scales) {
-            let Some((mean, scale)) = scale else { continue };
-            let value = (column[row] - mean) / scale;
-            list.push(value);
-            let scaled = force_n.iter().zip(spans);
-            list.extend(
-                scaled.map(|(f, (low, high))| value * (2.0 * f - low - high) / (high - low)),
-            );
+        let factors = linear.values(force_n);
+        for ((_, column), scale) in parts[part].iter().zip(&scales) {
+            let Some((mean, deviation)) = scale else { continue };
+            let value = (column[row] - mean) / deviation;
+            list.extend(factors.iter().map(|factor| value * factor));
         }
         DVector::from_vec(list)
     };
@@ -279,6 +274,7 @@ fn without_covariates(
     }
     let mut coefficients = normal.cholesky()?.solve(&right);
     coefficients.rows_mut(0, terms).fill(0.0);
+    let mut without = rows.clone();
     for (part, rows) in without.parts.iter_mut().enumerate() {
         for row in 0..rows.field_g.len() {
             let values = regressors(part, row, &rows.force_n[row]);
@@ -288,23 +284,23 @@ fn without_covariates(
     Some(without)
 }
 
-/// Covariates of one recording in a fixed order: temperature, those of the gripper (angles as sine and cosine), rates of the forces.
-fn covariate_columns(rows: &RecordingRows) -> Vec<Vec<f64>> {
+/// Covariates of one recording by name: temperature, those of the gripper (angles as sine and cosine), rates of the forces.
+fn covariate_columns(rows: &RecordingRows) -> Vec<(&str, Vec<f64>)> {
     let track = &rows.track;
     let mut columns = Vec::new();
     if !track.temperature_c.is_empty() {
-        columns.push(track.temperature_c.clone());
+        columns.push(("temp_c", track.temperature_c.clone()));
     }
     for (name, values) in &track.covariates {
         if name.ends_with("_rad") {
-            columns.push(values.iter().map(|angle| angle.sin()).collect());
-            columns.push(values.iter().map(|angle| angle.cos()).collect());
+            columns.push((name, values.iter().map(|angle| angle.sin()).collect()));
+            columns.push((name, values.iter().map(|angle| angle.cos()).collect()));
         } else {
-            columns.push(values.clone());
+            columns.push((name, values.clone()));
         }
     }
-    for axis in 0..2 {
-        columns.push(track.rate_n_per_s.iter().map(|rate| rate[axis]).collect());
+    for (axis, name) in ["fx_rate_n_per_s", "fz_rate_n_per_s"].into_iter().enumerate() {
+        columns.push((name, track.rate_n_per_s.iter().map(|rate| rate[axis]).collect()));
     }
     columns
 }

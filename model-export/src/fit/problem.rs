@@ -224,7 +224,7 @@ impl<'a> SensorProblem<'a> {
         }
         // At a limit the field depends on the parameter only inwards.
         let step = |index: usize| {
-            let inwards = self.parameters[index].is_in_upper_half(scaled[index]);
+            let inwards = self.parameters[index].is_near_upper_limit(scaled[index]);
             if inwards { -STEP } else { STEP }
         };
         let mut set_columns = |index: usize, changes: &[Vector3<f64>]| {

@@ -57,7 +57,8 @@ pub mod residuals;
 pub mod selection;
 pub mod suggestions;
 pub mod verdicts;
-/// Fraction of the remaining work that these last fits take.
+
+/// Fraction of the remaining work that the last fits, to all rows, take.
 const ALL_ROWS: f64 = 0.7;
 /// Fraction of what then remains that the replays take.
 const REPLAYS: f64 = 0.5;
@@ -273,13 +274,11 @@ pub struct Scope {
 impl Scope {
     /// The catalogue, without plans.
     pub const CATALOGUE: Self = Self { catalogue: true, plans: false };
-    /// Formulas alone.
-    pub const FORMULAS: Self = Self { catalogue: false, plans: false };
 }
 
 /// Diagnoses which effects `model` (read from `path`) does not contain on `campaign`: those of the catalogue and the user's
-/// `own`. The campaign was read with `alignment`. `observer` receives the
-/// progress and can end it early. The second value is the fit of `model` to the campaign, where its cross-validation is that of a comparison.
+/// `own`. The campaign was read with `alignment`. `observer` receives the progress and can end it early. The second value is the fit of
+/// `model` to the campaign, where its cross-validation is that of a comparison.
 ///
 /// # Errors
 /// A fit fails.

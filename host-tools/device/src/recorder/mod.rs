@@ -215,7 +215,7 @@ impl Recorder {
             self.or_cut(finished)?;
         }
         if let Some(mcap) = self.mcap {
-            mcap.into_inner().finish()?;
+            mcap.finish()?;
         }
         self.tally.span_us = self.last_us;
         Ok(self.tally)
@@ -336,9 +336,14 @@ impl Recorder {
             written = written.and_then(|()| tables.force.line(&format!("{}{empty}", row.time_us)));
         }
         self.or_cut(written)?;
-        let estimates = row.force_n.map(|force_n| EstimatedForce { force_n, sigma_n: None });
-        let mcap = self.mcap.as_mut();
-        mcap.map_or(Ok(()), |mcap| mcap.row(row.time_us as f64, &numbers, &estimates))
+        let Some(mcap) = &mut self.mcap else { return Ok(()) };
+        let time_us = row.time_us as f64;
+        mcap.row(time_us, &numbers)?;
+        if row.force_n.iter().any(Option::is_some) {
+            let estimates = row.force_n.map(|force_n| EstimatedForce { force_n, sigma_n: None });
+            mcap.estimates(time_us, &estimates)?;
+        }
+        Ok(())
     }
 
     /// Removes a partial line after a failed write.

@@ -14,8 +14,9 @@ use firmware::sensors::hall::{HallReading, SENSORS};
 use firmware::system::faults::Fault;
 use std::collections::{BTreeMap, HashMap, VecDeque};
 
-/// Forces of tick packets take precedence over those of messages, which are coarser, for this time in seconds.
-const FRESH_S: f64 = 0.1;
+/// Time in seconds for which a value is current. So long forces of tick packets take precedence over those of messages, which are
+/// coarser.
+pub const FRESH_S: f64 = 0.1;
 
 /// Value with its time in seconds since the start of reception.
 #[derive(Clone, Copy, Debug)]

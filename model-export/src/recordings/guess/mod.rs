@@ -6,6 +6,7 @@
 mod names;
 mod source;
 
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -537,16 +538,11 @@ impl Draft {
         let places: Vec<Option<usize>> =
             groups.iter().map(|group| sensor_of(group, sensors)).collect();
         // Several forces of one sensor have different axes.
-        let mut taken: Vec<(Option<usize>, Option<char>)> = Vec::new();
-        for column in &forces {
-            let group = groups.iter().position(|group| **group == column.stated.group);
-            taken.push((group.and_then(|group| places[group]), column.stated.axis));
-        }
-        let is_taken_twice = taken.iter().enumerate().any(|(i, own)| {
-            let other = |(j, other): (usize, &(Option<usize>, Option<char>))| {
-                own == other && forces[i].stated.group != forces[j].stated.group
-            };
-            taken[..i].iter().enumerate().any(other)
+        let mut owners = BTreeMap::new();
+        let is_taken_twice = forces.iter().any(|column| {
+            let own = &column.stated.group;
+            let place = groups.iter().position(|group| *group == own).and_then(|i| places[i]);
+            owners.insert((place, column.stated.axis), own).is_some_and(|other| other != own)
         });
         let is_only = groups.len() == 1 && sensors.len() == 1;
         let is_named = !is_taken_twice && places.iter().all(Option::is_some);
