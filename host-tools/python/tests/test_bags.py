@@ -1,6 +1,9 @@
 """Bags: files of the reference implementations are read value by value, and ours are read by them."""
 
+import contextlib
 import json
+import sqlite3
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -53,7 +56,8 @@ def is_equal(hall, force, tables):
             assert np.array_equal(force[name], expected_force[name])
 
 
-def test_ros_2_bags_of_rosbags(command, tables, tmp_path):
+@pytest.mark.parametrize("storage", ["mcap", "db3", "db3 without definitions"])
+def test_ros_2_bags_of_rosbags(command, tables, tmp_path, storage):
     hall, force = tables
     store = get_typestore(Stores.ROS2_JAZZY)
     of = lambda name: store.types[name]
@@ -61,7 +65,8 @@ def test_ros_2_bags_of_rosbags(command, tables, tmp_path):
     magnetic, wrench = "sensor_msgs/msg/MagneticField", "geometry_msgs/msg/WrenchStamped"
     joints = "sensor_msgs/msg/JointState"
     bag = tmp_path / "bag"
-    with Writer(bag, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+    plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
+    with Writer(bag, version=9, storage_plugin=plugin) as writer:
         topic = lambda name, kind: writer.add_connection(name, kind, typestore=store)
         fields = [topic(f"/finger{sensor}/mag", magnetic) for sensor in range(2)]
         forces = [topic(f"/finger{sensor}/wrench", wrench) for sensor in range(2)]
@@ -90,6 +95,11 @@ def test_ros_2_bags_of_rosbags(command, tables, tmp_path):
                 x, z = (getattr(row, f"f{sensor}_{axis}_n") for axis in "xz")
                 content = of("geometry_msgs/msg/Wrench")(vector(x, 0.5, z), vector(0.0, 0.0, 0.0))
                 send(connection, wrench, row.t_us, 0, wrench=content)
+    if storage == "db3 without definitions":
+        # As ROS 2 Humble and before write them.
+        with contextlib.closing(sqlite3.connect(bag / "bag.db3")) as database:
+            database.execute("DROP TABLE message_definitions")
+            database.commit()
     proposal, read_hall, read_force = imported(command, tmp_path, bag)
     is_equal(read_hall, read_force, tables)
     assert {column["unit"] for column in proposal["columns"]} == {"T", "N"}
@@ -155,7 +165,7 @@ def test_our_files_are_read_by_others_and_round_trip(command, fitted, tmp_path):
     files = command("export", fitted.model.path, "--mcap", source, "-o", folder)["files"]
     expected = {name: pd.read_csv(next((source / "1").glob(f"{name}.csv*"))) for name in ("hall", "force")}
     topics = {"/board": expected["hall"], "/reference": expected["force"]}
-    with (folder / files[0]).open("rb") as file:
+    with open(files[0], "rb") as file:
         seen = dict.fromkeys(topics, 0)
         for schema, channel, message, decoded in make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()]).iter_decoded_messages(topics=list(topics)):
             if seen[channel.topic] % 500 == 0:
@@ -165,7 +175,7 @@ def test_our_files_are_read_by_others_and_round_trip(command, fitted, tmp_path):
             seen[channel.topic] += 1
         assert seen == {topic: len(table) for topic, table in topics.items()}
     # rosbags knows message types by their definition in the file.
-    with AnyReader([folder / files[0]]) as reader:
+    with AnyReader([Path(files[0])]) as reader:
         connections = [connection for connection in reader.connections if connection.topic == "/estimate"]
         forces = [reader.deserialize(data, connection.msgtype).f0_x_n for connection, _, data in reader.messages(connections)]
     assert len(forces) == len(expected["hall"])
@@ -173,9 +183,8 @@ def test_our_files_are_read_by_others_and_round_trip(command, fitted, tmp_path):
     at_reference = np.interp(expected["force"].t_us, expected["hall"].t_us, forces)
     assert np.corrcoef(at_reference, expected["force"].f0_x_n)[0, 1] > 0.9
     mapping, campaign = tmp_path / "mapping.toml", tmp_path / "campaign"
-    sources = [folder / name for name in files]
-    command("import", "--guess", *sources, "-o", mapping)
-    command("import", mapping, *sources, "-o", campaign)
+    command("import", "--guess", *files, "-o", mapping)
+    command("import", mapping, *files, "-o", campaign)
     for number in range(1, len(files) + 1):
         for name in ("hall", "force"):
             before = pd.read_csv(next((source / str(number)).glob(f"{name}.csv*")))

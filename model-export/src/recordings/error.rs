@@ -124,6 +124,10 @@ pub enum ErrorKind {
         "the MCAP file ends too early or is damaged ({0}); copy it again, or repair it with `mcap recover`"
     )]
     DamagedMcap(String),
+    #[error(
+        "is not a bag of ROS 2, or damaged ({0}); copy it again, or repair it with `ros2 bag reindex`"
+    )]
+    DamagedBag(String),
     #[error("its messages cannot be decoded: {reason}; leave this topic out, or convert the file")]
     Undecodable { reason: String },
     #[error("is invalid: {0}; correct it there")]

@@ -65,6 +65,10 @@ impl Decoder {
                     MessageSchema::parse(&schema.name, text).map_err(|e| format!("{e:#}"))?;
                 Ok(Self::Cdr(Box::new(RosTypes(types))))
             }
+            ("cdr", _, None) => Err(
+                "the definition of its message type is not in the file; where its package is installed, `ros2 bag convert` adds it"
+                    .to_owned(),
+            ),
             (encoding, schema, _) => Err(format!(
                 "messages in {encoding:?} with a schema in {schema:?} are not supported; supported are json, protobuf, and cdr with ros2msg"
             )),

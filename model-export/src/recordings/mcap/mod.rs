@@ -1,5 +1,5 @@
-//! MCAP files, the format of ROS 2 bags and of Foxglove: their topics as tables with one row per message, and the writer of
-//! recordings.
+//! MCAP files, the format of ROS 2 bags and of Foxglove, and bags in SQLite: their topics as tables with one row per message, and
+//! the writer of recordings.
 //!
 //! A column is a number of a message: the topic, a point and the path of the field, `/hall/s0.magnetic_field.x` or
 //! `/joint_states.position[0]`. Each topic also has the columns `log_time` and `publish_time`; these and the times in
@@ -7,6 +7,7 @@
 
 mod decode;
 mod recording;
+mod sqlite;
 mod writer;
 
 use std::collections::BTreeMap;
@@ -22,6 +23,7 @@ use crate::recordings::csv_table::GAP_STEPS;
 use crate::recordings::error::{DataError, ErrorKind, Location, closest_match};
 use decode::Decoder;
 pub use recording::{EstimatedForce, RecordingMcap, RecordingTopics, StateTopic, TopicColumns};
+use sqlite::SqliteMessages;
 use writer::{MAPPING_KEY, UNITS_KEY};
 pub use writer::{MESSAGE_ENCODING, McapWriter, NumberTopic, SCHEMA_ENCODING, TopicSink};
 
@@ -123,20 +125,20 @@ impl Topic {
 
 /// Whether a path is a bag: an MCAP file, or the folder of a ROS 2 bag.
 pub fn is_bag(path: &Path) -> bool {
-    let is_named =
-        |name: &str| path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case(name));
-    is_named("mcap") || is_named("db3") || (path.is_dir() && path.join("metadata.yaml").is_file())
+    is_named(path, "mcap")
+        || is_named(path, "db3")
+        || (path.is_dir() && path.join("metadata.yaml").is_file())
+}
+
+/// Whether a file has this extension.
+fn is_named(path: &Path, name: &str) -> bool {
+    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case(name))
 }
 
 /// The files of a bag in their order.
 fn files(path: &Path) -> Result<Vec<PathBuf>, DataError> {
-    let is_sqlite = |path: &Path| path.extension().is_some_and(|extension| extension == "db3");
-    let sqlite = |path: &Path| {
-        let advice = "convert it with `ros2 bag convert`, or with `rosbags-convert --src FOLDER --dst NEW --dst-storage mcap`";
-        ErrorKind::bad_value("a bag in SQLite", advice).at(Location::file(path))
-    };
     if !path.is_dir() {
-        return if is_sqlite(path) { Err(sqlite(path)) } else { Ok(vec![path.to_path_buf()]) };
+        return Ok(vec![path.to_path_buf()]);
     }
     let unreadable = |error| ErrorKind::Unreadable(error).at(Location::file(path));
     let entries: Result<Vec<PathBuf>, _> = std::fs::read_dir(path)
@@ -144,16 +146,11 @@ fn files(path: &Path) -> Result<Vec<PathBuf>, DataError> {
         .map(|entry| entry.map(|entry| entry.path()))
         .collect();
     let mut files = entries.map_err(unreadable)?;
-    if let Some(file) = files.iter().find(|file| is_sqlite(file)) {
-        return Err(sqlite(file));
-    }
-    files.retain(|file| file.extension().is_some_and(|extension| extension == "mcap"));
+    files.retain(|file| is_named(file, "mcap") || is_named(file, "db3"));
     if files.is_empty() {
-        let advice =
-            "give a folder with .mcap files; compressed ones are decompressed with `zstd -d`";
-        return Err(
-            ErrorKind::bad_value("a bag without .mcap files", advice).at(Location::file(path))
-        );
+        let advice = "give a folder with .mcap or .db3 files; compressed ones are decompressed with `zstd -d`";
+        return Err(ErrorKind::bad_value("a bag without files of messages", advice)
+            .at(Location::file(path)));
     }
     // Parts of a bag are numbered: bag_9.mcap comes before bag_10.mcap.
     files.sort_by_key(|file| (file.as_os_str().len(), file.clone()));
@@ -169,10 +166,14 @@ pub enum Undecodable {
     Skip,
 }
 
-/// Messages of a file, with the checksums of their chunks verified.
-fn messages(
-    file: &Path,
-) -> Result<impl Iterator<Item = Result<mcap::Message<'static>, DataError>>, DataError> {
+/// Messages of a file.
+type Messages<'a> = Box<dyn Iterator<Item = Result<mcap::Message<'static>, DataError>> + 'a>;
+
+/// Messages of a file, with the checksums of its chunks verified.
+fn messages(file: &Path) -> Result<Messages<'_>, DataError> {
+    if is_named(file, "db3") {
+        return Ok(Box::new(SqliteMessages::open(file)?));
+    }
     let options = LinearReaderOptions::default()
         .with_validate_chunk_crcs(true)
         .with_record_length_limit(MAX_RECORD_BYTES);
@@ -180,7 +181,7 @@ fn messages(
     let damaged =
         |error: mcap::McapError| ErrorKind::DamagedMcap(error.to_string()).at(Location::file(file));
     let messages = MessageReader::new_with_options(reader, options);
-    Ok(messages.map(move |message| message.map_err(damaged)))
+    Ok(Box::new(messages.map(move |message| message.map_err(damaged))))
 }
 
 /// Reads the wanted topics of a bag.
