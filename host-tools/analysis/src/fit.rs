@@ -5,7 +5,7 @@ use std::path::Path;
 
 use anyhow::{Result, bail};
 use model_export::fit::campaign::FitSetup;
-use model_export::fit::{self, CampaignFits, FitError, FitOptions};
+use model_export::fit::{self, CampaignFits, FitOptions};
 use model_export::model_file::{BaseKind, ModelFile, Provenance};
 use model_export::recordings::align::Alignment;
 use model_export::recordings::{Campaign, Location, Notice};
@@ -81,20 +81,8 @@ pub fn fit_model(
     })
 }
 
-/// Setup errors of an imported campaign: from its files and, where the design is known, against it, as the fit will find them.
-///
-/// # Errors
-/// A recording cannot be read.
-pub fn import_notes(campaign: &Campaign) -> Result<(Vec<Note>, Option<FitError>)> {
-    let findings = data_findings(&campaign.folder, campaign)?;
-    let unused = unused_forces(campaign).map(Note::Recording);
-    let error = campaign.design().and_then(|_| FitSetup::cylinder(campaign).err());
-    let findings = findings.into_iter().map(Box::new).map(Note::SetupError);
-    Ok((findings.chain(unused).collect(), error))
-}
-
 /// Forces on sensors without a field: probably with another number.
-fn unused_forces(campaign: &Campaign) -> impl Iterator<Item = Notice> {
+pub(crate) fn unused_forces(campaign: &Campaign) -> impl Iterator<Item = Notice> {
     let sensors = campaign.sensors();
     let forces: BTreeSet<u32> = campaign
         .recordings
@@ -113,7 +101,7 @@ fn unused_forces(campaign: &Campaign) -> impl Iterator<Item = Notice> {
 }
 
 /// Setup errors that affect the fit, except in files that a notice of the reader covers already.
-fn data_findings(folder: &Path, campaign: &Campaign) -> Result<Vec<Finding>> {
+pub(crate) fn data_findings(folder: &Path, campaign: &Campaign) -> Result<Vec<Finding>> {
     let mut findings = scan_with_progress(folder)?;
     let is_new = |finding: &Finding| {
         // A constant covariate does not affect a fit that does not use it.

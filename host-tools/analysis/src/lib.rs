@@ -5,6 +5,7 @@
 //! - [`data_quality`]: setup errors in recordings.
 //! - [`diagnose`]: missing physical effects.
 //! - [`benchmark`]: eight force estimators on a held-out recording.
+//! - [`import`]: tables of other loggers as a campaign, checked.
 //! - [`fit`], [`edit_model`]: fit of the base physics, and of other effects.
 //! - [`workbench`]: models of one campaign side by side, each fitted on first use.
 //! - [`network_training`]: training of recurrent networks.
@@ -23,6 +24,7 @@ pub mod data_quality;
 pub mod diagnose;
 pub mod edit_model;
 pub mod fit;
+pub mod import;
 pub mod magnetic_disturbance;
 pub mod network_calibration;
 pub mod network_training;

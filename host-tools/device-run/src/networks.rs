@@ -10,6 +10,7 @@ use model_export::gru::file::NetworkFile;
 use model_export::gru::network::{self, FloatState, Input, Network, OUTPUTS, Target};
 use model_export::gru::pack::{self, NetworkRun, PackedNetwork};
 use model_export::inverse::build::DeviceModel;
+use model_export::inverse::codegen;
 
 /// Trained networks in floating point and in the device's formats.
 #[derive(Debug)]
@@ -22,6 +23,17 @@ pub struct NetworkSet {
     /// Whether networks are warmed up on the first row before a recording starts, as on a gripper that has
     /// been on for a while.
     warm_start: bool,
+}
+
+/// The device's tables as Rust source, with the networks that run after the model.
+///
+/// # Errors
+/// The networks differ in size.
+pub fn tables_source(built: &DeviceModel, networks: Option<&NetworkSet>) -> Result<String> {
+    match networks {
+        None => Ok(codegen::tables_source(built)),
+        Some(set) => Ok(codegen::source_with_networks(built, &set.file.networks, &set.packed)?),
+    }
 }
 
 impl NetworkSet {

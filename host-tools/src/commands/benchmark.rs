@@ -72,7 +72,7 @@ pub fn run(args: &Args) -> Result<()> {
     };
     let plan = VariantTrainer::new(
         settings,
-        common.hidden(),
+        common.hidden(false),
         common.zero_weight.unwrap_or(DEFAULT_ZERO_WEIGHT),
     );
     plan.announce(evaluate::trainings(&data).into_iter());

@@ -3,22 +3,16 @@
 use std::path::{Path, PathBuf};
 
 use analysis::notes::{Note, UncompensatedEffect};
-use analysis::progress;
+use analysis::replay::bags::write_bags;
 use anyhow::{Result, bail};
 use model_export::inverse::build::{DeviceModel, ModelVariant, build};
-use model_export::inverse::codegen::{MARK, source_with_networks, tables_source};
-use model_export::output::{StagingDir, check_output, check_vacant, write_output};
-use model_export::recordings::campaign::recording_folders;
-use model_export::recordings::in_order;
-use model_export::recordings::recording::recording_name;
-use rayon::prelude::*;
+use model_export::inverse::codegen::MARK;
+use model_export::output::{check_output, write_output};
 use serde_json::json;
 
 use crate::commands::args::AlignArgs;
 use crate::commands::{check_compensated, print_conditions, print_missing_sensors, print_notes};
-use device_run::ReplayModels;
-use device_run::mcap::write_recording;
-use device_run::networks::NetworkSet;
+use device_run::networks::{NetworkSet, tables_source};
 use report::text::export::{format_tables, to_json, worst_map};
 use report::text::terminal;
 
@@ -72,10 +66,7 @@ pub fn run(args: &Args) -> Result<()> {
     }
     let networks =
         args.network.as_deref().map(|path| NetworkSet::read(path, &built)).transpose()?;
-    let source = match &networks {
-        None => tables_source(&built),
-        Some(set) => source_with_networks(&built, &set.file.networks, &set.packed)?,
-    };
+    let source = tables_source(&built, networks.as_ref())?;
     write_output(&args.output, source.as_bytes(), MARK)?;
     let uncompensated = UncompensatedEffect::of(&built).map(Note::Uncompensated);
     print_notes(&uncompensated.collect::<Vec<_>>());
@@ -96,27 +87,11 @@ pub fn run(args: &Args) -> Result<()> {
 
 /// Writes each recording of a campaign as an MCAP file.
 fn write_mcap(args: &Args, campaign: &Path) -> Result<()> {
-    check_vacant(&args.output)?;
-    let folders = recording_folders(campaign)?;
-    let built = build(&args.model, ModelVariant::Fitted)?;
-    let networks =
-        args.network.as_deref().map(|path| NetworkSet::read(path, &built)).transpose()?;
-    let models = ReplayModels { networks: networks.as_ref(), ..ReplayModels::of(&built) };
     let alignment = args.align.alignment()?;
-    let draft = StagingDir::new(&args.output, "export")?;
-    let bar = progress::progress_bar("writing MCAP files", folders.len());
-    let file = |folder: &PathBuf| -> Result<String> {
-        let name = format!("{}.mcap", recording_name(folder));
-        write_recording(&models, folder, alignment, &draft.path().join(&name))?;
-        bar.inc(1);
-        Ok(name)
-    };
-    let files = in_order(folders.par_iter().map(file))?;
-    bar.finish_and_clear();
-    draft.commit(&args.output)?;
+    let network = args.network.as_deref();
+    let files = write_bags(&args.model, network, campaign, &args.output, alignment)?;
     let written = || {
-        let paths = files.iter().map(|name| args.output.join(name).display().to_string());
-        let paths: Vec<String> = paths.collect();
+        let paths: Vec<String> = files.iter().map(|path| path.display().to_string()).collect();
         format!(
             "Written to {}: topics /board, /reference and /estimate. Back to a campaign: cargo magpie import --guess {} -o \
              mapping.toml\n",
@@ -124,6 +99,6 @@ fn write_mcap(args: &Args, campaign: &Path) -> Result<()> {
             shell_words::join(&paths),
         )
     };
-    let json = || json!({ "folder": args.output, "files": files });
+    let json = || json!({ "files": files });
     terminal::print_result(args.json, json, written)
 }

@@ -1,19 +1,15 @@
 //! `magpie import`: converts measurement tables to a campaign with a mapping file.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use analysis::fit::import_notes;
-use analysis::notes::Note;
-use analysis::progress;
-use anyhow::{Result, anyhow};
+use analysis::import::{ImportedCampaign, import_campaign};
+use anyhow::Result;
 use model_export::output::write_new;
-use model_export::recordings::align::Alignment;
-use model_export::recordings::error::ErrorKind;
+use model_export::recordings::guess::{self, Proposal};
 use model_export::recordings::units::round_significant;
-use model_export::recordings::{Campaign, DataError, guess, import};
-use serde_json::json;
 
 use crate::commands::print_notes;
+use report::text::import::{proposal_json, to_json};
 use report::text::terminal;
 
 /// Convert measurement tables to a campaign with a mapping file (columns, units, scale, clocks).
@@ -65,79 +61,25 @@ pub struct Args {
     json: bool,
 }
 
-/// Ratio of the lengths of two tables of one recording from which a clock is probably in another unit.
-const OTHER_UNIT: f64 = 30.0;
-
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
     let Some(mapping) = &args.mapping else {
         return propose(args);
     };
-    // The user has the sources and the mapping, not the columns of the new recordings.
-    let with_remedy = |error: DataError| {
-        let is_in_campaign =
-            error.location.file.starts_with(&args.output) && error.location.file != args.output;
-        if let ErrorKind::NoOverlap { hall_from, hall_to, force_from, force_to } = *error.kind {
-            let ratio = (force_to - force_from) / (hall_to - hall_from);
-            if !(1.0 / OTHER_UNIT..=OTHER_UNIT).contains(&ratio) {
-                return anyhow!(
-                    "{error}; {}: the reference lasts {ratio:.3} times as long as the board, as if one of the two clocks were in another unit: \
-                     correct `unit` of the clock there",
-                    mapping.display()
-                );
-            }
-            anyhow!(
-                "{error}; in {}: where both began at the same instant, increase offset_s of the clock of [force] by {:.3}, or, where they do in \
-                 every recording, set from_first_row = true in both clocks",
-                mapping.display(),
-                hall_from - force_from
-            )
-        } else if matches!(*error.kind, ErrorKind::EmptyCell)
-            && !error.location.file.starts_with(&args.output)
-        {
-            anyhow!("{error}; or leave the column out of {}", mapping.display())
-        } else if is_in_campaign && error.kind.is_of_unit() {
-            anyhow!(
-                "{error}; units and clocks are what {} states: correct `unit` there",
-                mapping.display()
-            )
-        } else if is_in_campaign {
-            anyhow!(
-                "{error} ({} states which columns of the source this file has)",
-                mapping.display()
-            )
-        } else {
-            error.into()
-        }
-    };
-    let bar = progress::progress_bar("importing", args.sources.len());
-    let (imported, notices) = import::import(mapping, &args.sources, &args.output, |_| bar.inc(1))
-        .map_err(with_remedy)?;
-    bar.finish_and_clear();
-    print_notes(&notices.into_iter().map(Note::Recording).collect::<Vec<_>>());
-    let campaign =
-        Campaign::read(&args.output, Alignment { delay_us: 0.0 }, |_| ()).map_err(with_remedy)?;
-    let (notes, error) = import_notes(&campaign)?;
-    print_notes(&notes);
-    // A channel in another unit looks like permuted axes, too.
-    let is_unit =
-        |note: &Note| matches!(note, Note::SetupError(finding) if finding.is_channel_unit());
-    let stops = |note: &Note| matches!(note, Note::SetupError(finding) if finding.stops);
-    let is_refused = error.is_some() || notes.iter().any(stops);
-    if let Some(error) = error.filter(|_| !notes.iter().any(is_unit)) {
+    let imported = import_campaign(mapping, &args.sources, &args.output)?;
+    print_notes(&imported.notes);
+    if let Some(error) = &imported.fit_error {
         eprintln!("note: a fit will refuse these recordings: {error}");
     }
-    if args.json {
-        let recordings = imported.iter().map(|recording| {
-            let (hall, force, measured) = recording.rows;
-            json!({ "folder": recording.folder, "hall_rows": hall, "force_rows": force, "measured_rows": measured })
-        });
-        terminal::print(&format!(
-            "{}\n",
-            json!({ "campaign": args.output, "recordings": recordings.collect::<Vec<_>>() })
-        ))?;
-        return Ok(());
-    }
+    terminal::print_result(
+        args.json,
+        || to_json(&imported),
+        || format_import(&imported, mapping, &args.output),
+    )
+}
+
+/// The recordings, and what to do next.
+fn format_import(imported: &ImportedCampaign, mapping: &Path, output: &Path) -> String {
     let mut table = terminal::table([
         "recording",
         "start s",
@@ -147,11 +89,11 @@ pub fn run(args: &Args) -> Result<()> {
         "reference rows",
         "rows with force",
     ]);
-    for (recording, imported) in campaign.recordings.iter().zip(&imported) {
+    for (recording, converted) in imported.campaign.recordings.iter().zip(&imported.recordings) {
         let ends = recording.time_s.first().zip(recording.time_s.last());
-        let (hall, force, measured) = imported.rows;
+        let (hall, force, measured) = converted.rows;
         table.add_row([
-            imported.folder.display().to_string(),
+            converted.folder.display().to_string(),
             format!("{:.1}", recording.description.start_s),
             format!("{:.1}", ends.map_or(0.0, |(first, last)| last - first)),
             recording.sensors.len().to_string(),
@@ -162,24 +104,22 @@ pub fn run(args: &Args) -> Result<()> {
     }
     terminal::right_align(&mut table, 1);
     let mut next = String::new();
-    let base = if campaign.design().is_some() { "" } else { " --base polynomial" };
+    let base = if imported.campaign.design().is_some() { "" } else { " --base polynomial" };
     if !base.is_empty() {
         next += "Without [design] in the mapping a polynomial shows errors and missing effects, but a board cannot run it; with \
                  [design] (see --help), import again and fit without --base.\n";
     }
-    next += &if is_refused {
-        let is_of_units = notes.iter().any(is_unit);
-        let what = if is_of_units {
+    next += &if imported.is_refused() {
+        let what = if imported.has_wrong_unit() {
             format!("units are what {} states: correct `unit` there", mapping.display())
         } else {
             format!("correct what the note names in {}", mapping.display())
         };
         format!("Next: {what}, and import again to another folder.")
     } else {
-        format!("Next: cargo magpie fit {:?}{base} -o model.toml", args.output)
+        format!("Next: cargo magpie fit {output:?}{base} -o model.toml")
     };
-    terminal::print(&format!("{table}\n{next}\n"))?;
-    Ok(())
+    format!("{table}\n{next}\n")
 }
 
 /// End of a column's range; a dash where it is not known.
@@ -191,24 +131,15 @@ fn range_end(value: f64) -> String {
 fn propose(args: &Args) -> Result<()> {
     let proposal = guess::propose(&args.guess)?;
     write_new(&args.output, proposal.text.as_bytes())?;
-    if args.json {
-        let columns = proposal.columns.iter().map(|column| {
-            json!({ "from": column.from, "unit": column.unit, "to": column.to, "range": [column.range.0, column.range.1] })
-        });
-        let ignored = proposal
-            .ignored
-            .iter()
-            .map(|(name, reason)| json!({ "column": name, "reason": reason }));
-        return Ok(terminal::print(&format!(
-            "{}\n",
-            json!({
-                "mapping": args.output,
-                "columns": columns.collect::<Vec<_>>(),
-                "checks": proposal.checks,
-                "ignored": ignored.collect::<Vec<_>>(),
-            })
-        ))?);
-    }
+    terminal::print_result(
+        args.json,
+        || proposal_json(&proposal, &args.output),
+        || format_proposal(&proposal, args),
+    )
+}
+
+/// The columns, and what to check.
+fn format_proposal(proposal: &Proposal, args: &Args) -> String {
     let mut table = terminal::table(["column", "unit", "minimum", "maximum", "becomes"]);
     for column in &proposal.columns {
         let (min, max) = column.range;
@@ -237,6 +168,5 @@ fn propose(args: &Args) -> Result<()> {
     let paths = [&args.output].into_iter().chain(&args.guess);
     let paths = shell_words::join(paths.map(|path| path.display().to_string()));
     text += &format!("Written to {}.\n", args.output.display());
-    text += &format!("Next: cargo magpie import {paths} -o my-campaign\n");
-    Ok(terminal::print(&text)?)
+    text + &format!("Next: cargo magpie import {paths} -o my-campaign\n")
 }

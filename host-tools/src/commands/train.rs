@@ -7,7 +7,6 @@ use std::time::{Duration, Instant};
 use anyhow::{Result, bail};
 use clap::ValueEnum;
 use indicatif::HumanDuration;
-use model_export::gru::file::NetworkFile;
 use model_export::gru::network::Target;
 use model_export::gru::tensors::TensorFileKind;
 use model_export::gru::train::checkpoint;
@@ -17,23 +16,13 @@ use model_export::output::check_output;
 
 use crate::commands::args::AlignArgs;
 use crate::commands::{INTERRUPTED, first_interrupt, print_notes};
-use analysis::network_calibration::NetworkCalibration;
-use analysis::network_training::TrainingResult;
 use analysis::network_training::dataset::TrainingData;
+use analysis::network_training::{
+    DEFAULT_PATIENCE, DEFAULT_RATE, TrainingResult, default_epochs, default_hidden,
+};
 use analysis::progress;
 use report::text::terminal;
 use report::text::training::{format_report, to_json};
-
-/// Default units per layer: with three inputs the device computes them within the time that the paper states for
-/// a computer.
-const DEFAULT_HIDDEN: usize = 16;
-/// The same for one network of all sensors.
-const DEFAULT_HIDDEN_SHARED: usize = 32;
-/// Default maximum number of epochs.
-const DEFAULT_EPOCHS: u32 = 80;
-/// Units per layer and epochs of `--quick`.
-const QUICK_HIDDEN: usize = 8;
-const QUICK_EPOCHS: u32 = 15;
 
 /// Trainings that may take longer than this announce it.
 const ANNOUNCED: Duration = Duration::from_secs(30);
@@ -64,10 +53,10 @@ pub struct TrainingArgs {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub epochs: Option<u32>,
     /// Early stopping: epochs without a better held-out likelihood.
-    #[arg(long, value_name = "N", default_value_t = 25, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = DEFAULT_PATIENCE, value_parser = clap::value_parser!(u32).range(1..))]
     pub patience: u32,
     /// Initial learning rate; it decreases to a hundredth.
-    #[arg(long, default_value_t = 5e-3)]
+    #[arg(long, default_value_t = DEFAULT_RATE)]
     pub rate: f64,
     /// Weight of rows without force in the likelihood: 1 + (WEIGHT - 1) exp(-(F / W)^2 / 2), where W is a tenth of the force range
     /// [default: 1, or 4 in the benchmark's weighted variant].
@@ -98,19 +87,13 @@ impl TrainingArgs {
         Ok(())
     }
 
-    /// Units per layer; `default` without `--hidden` and `--quick`.
-    fn hidden_or(&self, default: usize) -> usize {
-        let default = if self.quick { QUICK_HIDDEN } else { default };
-        self.hidden.map_or(default, usize::from)
-    }
-
-    /// Units per layer of networks of one sensor.
-    pub fn hidden(&self) -> usize {
-        self.hidden_or(DEFAULT_HIDDEN)
+    /// Units per layer.
+    pub fn hidden(&self, is_shared: bool) -> usize {
+        self.hidden.map_or_else(|| default_hidden(is_shared, self.quick), usize::from)
     }
 
     fn epochs(&self) -> u32 {
-        self.epochs.unwrap_or(if self.quick { QUICK_EPOCHS } else { DEFAULT_EPOCHS })
+        self.epochs.unwrap_or_else(|| default_epochs(self.quick))
     }
 
     /// Settings of the trainer for sensors with this force range.
@@ -220,18 +203,14 @@ pub fn run(args: &Args) -> Result<()> {
         eprintln!("{interrupted}");
         std::process::exit(INTERRUPTED);
     }
-    let sigma = NetworkCalibration::of(&trainer, &data.training, &data.held_out, &data.built)?;
-    let evaluation = TrainingResult::of(&trainer, &data.held_out, sigma, start.elapsed())?;
+    let evaluation = TrainingResult::of(&trainer, &data, start.elapsed())?;
     terminal::print_result(
         common.json,
         || to_json(&evaluation, &data.notes),
         || format_report(&evaluation),
     )?;
     if let Some(path) = &args.output {
-        let mut networks = trainer.networks();
-        evaluation.sigma.apply(&mut networks);
-        let file = NetworkFile { provenance: data.provenance(&trainer), networks };
-        file.write(path)?;
+        evaluation.network_file(&trainer, &data).write(path)?;
     }
     if !common.json {
         terminal::print(&match &args.output {
@@ -249,7 +228,6 @@ pub fn run(args: &Args) -> Result<()> {
 
 impl Args {
     fn topology(&self) -> Topology {
-        let default = if self.shared { DEFAULT_HIDDEN_SHARED } else { DEFAULT_HIDDEN };
         Topology {
             axes: match self.axes {
                 Axes::Xz => vec![0, 2],
@@ -261,7 +239,7 @@ impl Args {
                 TargetArg::Residual => Target::Residual,
             },
             shared: self.shared,
-            hidden: self.common.hidden_or(default),
+            hidden: self.common.hidden(self.shared),
         }
     }
 }

@@ -3,14 +3,36 @@
 use std::time::Duration;
 
 use anyhow::Result;
+use model_export::gru::file::NetworkFile;
 use model_export::gru::train::dataset::Sequence;
 use model_export::gru::train::forward::Prediction;
 use model_export::gru::train::trainer::{BestEpoch, Trainer};
 
 use crate::network_calibration::NetworkCalibration;
+use crate::network_training::dataset::TrainingData;
 use crate::statistics::Moments;
 
 pub mod dataset;
+
+/// Default patience of early stopping in epochs.
+pub const DEFAULT_PATIENCE: u32 = 25;
+/// Default initial learning rate.
+pub const DEFAULT_RATE: f64 = 5e-3;
+
+/// Default units of each layer: with three inputs and 16 units the device computes a network within the time that the paper
+/// states for a computer.
+pub fn default_hidden(is_shared: bool, is_quick: bool) -> usize {
+    match (is_quick, is_shared) {
+        (true, _) => 8,
+        (false, false) => 16,
+        (false, true) => 32,
+    }
+}
+
+/// Default maximum number of epochs.
+pub fn default_epochs(is_quick: bool) -> u32 {
+    if is_quick { 15 } else { 80 }
+}
 
 /// One force of one sensor on the held-out recording.
 pub struct ForceEvaluation {
@@ -53,16 +75,13 @@ pub struct TrainingResult {
 }
 
 impl TrainingResult {
-    /// Evaluates the best weights on the held-out recording.
+    /// Evaluates the best weights on the held-out recording, and calibrates their standard deviations.
     ///
     /// # Errors
     /// The networks cannot be evaluated.
-    pub fn of(
-        trainer: &Trainer,
-        held_out: &Sequence,
-        sigma: NetworkCalibration,
-        spent: Duration,
-    ) -> Result<Self> {
+    pub fn of(trainer: &Trainer, data: &TrainingData, spent: Duration) -> Result<Self> {
+        let held_out = &data.held_out;
+        let sigma = NetworkCalibration::of(trainer, &data.training, held_out, &data.built)?;
         let mut evaluated = Vec::new();
         for (sensors, forces) in trainer.groups.iter().zip(trainer.predictions()?) {
             for (force, samples) in forces.iter().enumerate() {
@@ -82,6 +101,13 @@ impl TrainingResult {
             spent,
             sigma,
         })
+    }
+
+    /// The networks, calibrated.
+    pub fn network_file(&self, trainer: &Trainer, data: &TrainingData) -> NetworkFile {
+        let mut networks = trainer.networks();
+        self.sigma.apply(&mut networks);
+        NetworkFile { provenance: data.provenance(trainer), networks }
     }
 }
 

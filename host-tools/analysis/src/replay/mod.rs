@@ -1,5 +1,6 @@
 //! Recordings through the device's own code, compared with the reference.
 
+pub mod bags;
 pub mod evaluation;
 pub mod tare;
 

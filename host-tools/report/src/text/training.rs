@@ -95,6 +95,7 @@ pub fn to_json(evaluation: &TrainingResult, notes: &[Note]) -> Value {
         })
     });
     json!({
+        "verdict": verdict(evaluation).trim(),
         "sensors": rows.collect::<Vec<_>>(),
         "networks": networks.collect::<Vec<_>>(),
         "sigma": calibration_json(&evaluation.sigma),
