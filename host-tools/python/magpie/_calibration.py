@@ -19,10 +19,14 @@ from magpie._results import (
     Fit,
     ForceError,
     Model,
+    Network,
+    Proposal,
     Replay,
     Simulation,
     Tables,
+    Training,
     Verdict,
+    html_table,
 )
 
 PathLike = str | os.PathLike[str]
@@ -68,6 +72,26 @@ class Campaign:
         return cls(Path(path), data["sensors"], data["recordings"], data["notes"])
 
     @classmethod
+    def from_files(
+        cls,
+        sources: Sequence[PathLike],
+        mapping: PathLike,
+        *,
+        folder: PathLike | None = None,
+    ) -> Campaign:
+        """Imports tables of other loggers, MCAP files or ROS 2 bags, one file (or folder) for each recording, as the mapping says.
+
+        `guess_mapping` proposes a mapping. Without a `folder` (which must not exist) the recordings live in a temporary one, as long
+        as this object.
+        """
+        temporary, folder = _new_folder(folder)
+        data = json.loads(_magpie.import_recordings(Path(mapping), [Path(source) for source in sources], folder))
+        refused = data["fit_error"]
+        notes = data["notes"] + ([f"a fit will refuse these recordings: {refused}"] if refused else [])
+        read = cls.read(folder)
+        return cls(read.path, read.sensors, read.recordings, notes, temporary)
+
+    @classmethod
     def from_arrays(
         cls,
         recordings: Iterable[tuple[Any, Any]],
@@ -89,11 +113,7 @@ class Campaign:
         the end of the one before). ``range_gauss``: full scale of the sensor; samples there are left out as saturated. Without
         a `folder` the files live in a temporary one, as long as this object.
         """
-        temporary = None
-        if folder is None:
-            temporary = tempfile.TemporaryDirectory(prefix="magpie-")
-            folder = Path(temporary.name) / "campaign"
-        root = Path(folder)
+        temporary, root = _new_folder(folder)
         root.mkdir(parents=True)
         start_s = 0.0
         for number, (hall, force) in enumerate(recordings, start=1):
@@ -121,6 +141,20 @@ class Campaign:
 
     def __fspath__(self) -> str:
         return str(self.path)
+
+    def __str__(self) -> str:
+        return f"{len(self.recordings)} recordings of sensors {', '.join(map(str, self.sensors))}: {self.path}"
+
+    def _repr_html_(self) -> str:
+        return html_table("\n".join([str(self), *self.notes]), self.recordings)
+
+
+def _new_folder(folder: PathLike | None) -> tuple[tempfile.TemporaryDirectory | None, Path]:
+    """The folder, or one in a temporary folder that is returned, too."""
+    if folder is not None:
+        return None, Path(folder)
+    temporary = tempfile.TemporaryDirectory(prefix="magpie-")
+    return temporary, Path(temporary.name) / "campaign"
 
 
 def _toml(value: Any) -> str:
@@ -270,6 +304,56 @@ def replay(
     return Replay(data, ForceError.of(data["force"]))
 
 
+def train(
+    model: PathLike,
+    campaign: PathLike,
+    *,
+    output: PathLike | None = None,
+    quick: bool = False,
+    hidden: int | None = None,
+    axes: str = "xyz",
+    with_ideal: bool = False,
+    of_residual: bool = False,
+    shared: bool = False,
+    hold_out: int | None = None,
+    epochs: int | None = None,
+    patience: int = 25,
+    rate: float = 5e-3,
+    zero_weight: float = 1.0,
+    checkpoint: PathLike | None = None,
+    progress: Callable[[str, float], Any] | None = None,
+    delay_ms: float = 0.0,
+    seed: int = 1,
+) -> Training:
+    """Trains recurrent networks that estimate each force with its standard deviation, and run on the device after the model.
+
+    Inputs are the field components `axes` after the device's compensation, and the model's own force `with_ideal`; outputs are the
+    force, or the residual of the model's (`of_residual`); a network of two layers of `hidden` units for each sensor, or one for all
+    (`shared`). The recording `hold_out` (counted from 1; default: the last) selects the epoch. ``quick``: smaller networks and fewer
+    epochs. ``checkpoint``: file in which each epoch is saved, and from which a training that was ended goes on. Ctrl-C, or an
+    exception in ``progress``, ends the training after an epoch.
+    """
+    network = Network.new(output)
+    options = (quick, hidden, axes, with_ideal, of_residual, shared, hold_out, epochs, patience, rate, zero_weight)
+    saved = None if checkpoint is None else Path(checkpoint)
+    data = json.loads(_magpie.train(Path(model), Path(campaign), network.path, *options, saved, progress, delay_ms, seed))
+    return Training(data, network)
+
+
+def guess_mapping(sources: Sequence[PathLike], output: PathLike) -> Proposal:
+    """Proposes a mapping from the names and values of files (or folders of two files, or bags), and writes it, to be checked."""
+    data = json.loads(_magpie.guess_mapping([Path(source) for source in sources], Path(output)))
+    return Proposal(data, Path(output))
+
+
+def export_mcap(
+    model: PathLike, campaign: PathLike, output: PathLike, *, network: PathLike | None = None, delay_ms: float = 0.0
+) -> list[Path]:
+    """Writes each recording of a campaign with the estimates of the device's code to an MCAP file in a new folder; their paths."""
+    weights = None if network is None else Path(network)
+    return _magpie.export_mcap(Path(model), Path(campaign), Path(output), weights, delay_ms)
+
+
 def export(model: PathLike, output: PathLike, *, network: PathLike | None = None) -> Tables:
     """Writes the device's tables as Rust source for the firmware."""
     weights = None if network is None else Path(network)
@@ -281,6 +365,7 @@ def simulate(
     output: PathLike,
     *effects: str,
     truth: PathLike | None = None,
+    design: PathLike | None = None,
     programme: str | None = None,
     recordings: int | None = None,
     seconds: float | None = None,
@@ -288,14 +373,14 @@ def simulate(
     scatter: float | None = None,
     seed: int = 1,
 ) -> Simulation:
-    """Writes a campaign of a simulated gripper of MAGPIE's design; effects as ``"creep"`` or ``"creep=3"``.
+    """Writes a campaign of a simulated gripper of MAGPIE's design, or of the design file `design`; effects as ``"creep"`` or
+    ``"creep=3"``.
 
     The true parameters are in a file outside of the campaign (default: next to it). Other defaults are those of the command.
     """
-    place = None if truth is None else Path(truth)
-    data = json.loads(
-        _magpie.simulate(Path(output), place, list(effects), programme, recordings, seconds, sensors, scatter, seed)
-    )
+    places = [None if path is None else Path(path) for path in (truth, design)]
+    settings = (programme, recordings, seconds, sensors, scatter, seed)
+    data = json.loads(_magpie.simulate(Path(output), *places, list(effects), *settings))
     return Simulation(data, Path(data["campaign"]), Path(data["truth"]))
 
 

@@ -30,16 +30,29 @@ class Estimates:
     """True while an external magnet is detected. Shape (rows,)."""
 
     def to_pandas(self):
-        """A DataFrame with a column for each force (``f0_x_n``) and validity (``f0_valid``)."""
+        """A DataFrame with a column for each force (``f0_x_n``), its standard deviation by a network (``f0_x_sigma_n``) and its
+        validity (``f0_valid``)."""
         import pandas
 
+        return pandas.DataFrame(self._columns())
+
+    def to_arrow(self):
+        """The same columns as a table of Arrow (``pyarrow.Table``)."""
+        import pyarrow
+
+        return pyarrow.table(self._columns())
+
+    def _columns(self) -> dict[str, Any]:
         columns: dict[str, Any] = {"time_s": self.time_s}
         for place, number in enumerate(self.sensors):
-            columns[f"f{number}_x_n"] = self.force_n[:, place, 0]
-            columns[f"f{number}_z_n"] = self.force_n[:, place, 1]
+            for axis, letter in enumerate("xz"):
+                columns[f"f{number}_{letter}_n"] = self.force_n[:, place, axis]
+                sigma_n = self.sigma_n[:, place, axis]
+                if np.isfinite(sigma_n).any():
+                    columns[f"f{number}_{letter}_sigma_n"] = sigma_n
             columns[f"f{number}_valid"] = self.is_valid[:, place]
         columns["disturbed"] = self.is_disturbed
-        return pandas.DataFrame(columns)
+        return columns
 
     def plot(self, axes=None):
         """Forces over time, lateral above longitudinal; returns the axes of matplotlib."""

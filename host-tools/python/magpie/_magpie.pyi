@@ -55,9 +55,33 @@ def edit(
 ) -> str: ...
 def replay(model: Path, campaign: Path, network: Path | None, delay_ms: float) -> str: ...
 def export(model: Path, output: Path, network: Path | None) -> str: ...
+def train(
+    model: Path,
+    campaign: Path,
+    output: Path,
+    quick: bool,
+    hidden: int | None,
+    axes: str,
+    with_ideal: bool,
+    of_residual: bool,
+    shared: bool,
+    hold_out: int | None,
+    epochs: int | None,
+    patience: int,
+    rate: float,
+    zero_weight: float,
+    checkpoint: Path | None,
+    progress: Callable[[str, float], Any] | None,
+    delay_ms: float,
+    seed: int,
+) -> str: ...
+def guess_mapping(sources: list[Path], output: Path) -> str: ...
+def import_recordings(mapping: Path, sources: list[Path], output: Path) -> str: ...
+def export_mcap(model: Path, campaign: Path, output: Path, network: Path | None, delay_ms: float) -> list[Path]: ...
 def simulate(
     output: Path,
     truth: Path | None,
+    design: Path | None,
     effects: list[str],
     programme: str | None,
     recordings: int | None,

@@ -7,39 +7,57 @@ import shutil
 import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 
 @dataclass(frozen=True)
-class Model:
-    """A model file. One that was made without an output path lives in a temporary folder, as long as this object."""
+class _File:
+    """A file that a function writes. One that was made without an output path lives in a temporary folder, as long as this object."""
 
     path: Path
     _folder: tempfile.TemporaryDirectory | None = field(default=None, repr=False, compare=False)
+    _name: ClassVar[str]
+    _function: ClassVar[str]
 
     @classmethod
-    def read(cls, path: str | Path) -> Model:
-        """The model at this path."""
+    def read(cls, path: str | Path) -> _File:
+        """The file at this path."""
         path = Path(path)
         if not path.is_file():
-            raise FileNotFoundError(f"{path}: no model file; magpie.fit writes one")
+            raise FileNotFoundError(f"{path}: no such file; magpie.{cls._function} writes one")
         return cls(path)
 
     @classmethod
-    def new(cls, output: str | Path | None) -> Model:
-        """A place for a model that is about to be written."""
+    def new(cls, output: str | Path | None) -> _File:
+        """A place for a file that is about to be written."""
         if output is not None:
             return cls(Path(output))
         folder = tempfile.TemporaryDirectory(prefix="magpie-")
-        return cls(Path(folder.name) / "model.toml", folder)
+        return cls(Path(folder.name) / cls._name, folder)
 
-    def save(self, path: str | Path) -> Model:
+    def save(self, path: str | Path) -> _File:
         """Copies the file; an existing one is replaced."""
         shutil.copyfile(self.path, path)
-        return Model(Path(path))
+        return type(self)(Path(path))
 
     def __fspath__(self) -> str:
         return str(self.path)
+
+
+@dataclass(frozen=True)
+class Model(_File):
+    """A model file."""
+
+    _name = "model.toml"
+    _function = "fit"
+
+
+@dataclass(frozen=True)
+class Network(_File):
+    """A file of networks of one model."""
+
+    _name = "network.safetensors"
+    _function = "train"
 
 
 @dataclass(frozen=True)
@@ -57,6 +75,18 @@ class ForceError:
 
     def __str__(self) -> str:
         return f"{self.rms_n:.3f} N (noise {self.noise_n:.3f} N, excess {self.excess_n:.3f} N)"
+
+
+def html_table(title: str, rows: list[dict[str, Any]]) -> str:
+    """Rows as a table of a notebook, without what is no number or text."""
+    names = [name for name, value in (rows[0] if rows else {}).items() if not isinstance(value, (dict, list))]
+    head = "".join(f"<th>{html.escape(name)}</th>" for name in names)
+
+    def cell(value: Any) -> str:
+        return f"{value:.4g}" if isinstance(value, float) else html.escape(str("" if value is None else value))
+
+    body = "".join("<tr>" + "".join(f"<td>{cell(row.get(name))}</td>" for name in names) + "</tr>" for row in rows)
+    return f"<p>{html.escape(title)}</p><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
 
 @dataclass(frozen=True)
@@ -78,17 +108,14 @@ class _Result:
 
         return pandas.DataFrame(self._rows())
 
+    def to_arrow(self):
+        """The main table as a table of Arrow (``pyarrow.Table``)."""
+        import pyarrow
+
+        return pyarrow.Table.from_pylist(self._rows())
+
     def _repr_html_(self) -> str:
-        rows = self._rows()
-        names = [name for name, value in (rows[0] if rows else {}).items() if not isinstance(value, (dict, list))]
-        head = "".join(f"<th>{html.escape(name)}</th>" for name in names)
-
-        def cell(value: Any) -> str:
-            return f"{value:.4g}" if isinstance(value, float) else html.escape(str("" if value is None else value))
-
-        body = "".join("<tr>" + "".join(f"<td>{cell(row.get(name))}</td>" for name in names) + "</tr>" for row in rows)
-        title = html.escape(str(self))
-        return f"<p>{title}</p><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+        return html_table(str(self), self._rows())
 
 
 @dataclass(frozen=True)
@@ -211,6 +238,37 @@ class Tables(_Result):
 
     def __str__(self) -> str:
         return f"Tables of {self.data['centres']} radial basis functions: {self.path}"
+
+
+@dataclass(frozen=True)
+class Training(_Result):
+    """Trained networks, evaluated on the recording that was held out to select the epoch."""
+
+    network: Network
+
+    def _rows(self) -> list[dict[str, Any]]:
+        return self.data["sensors"]
+
+    def __str__(self) -> str:
+        return self.data["verdict"]
+
+
+@dataclass(frozen=True)
+class Proposal(_Result):
+    """A proposed mapping, to be checked before an import."""
+
+    mapping: Path
+
+    @property
+    def checks(self) -> list[str]:
+        """What the source files do not state."""
+        return self.data["checks"]
+
+    def _rows(self) -> list[dict[str, Any]]:
+        return self.data["columns"]
+
+    def __str__(self) -> str:
+        return "\n".join([f"Proposed mapping {self.mapping}", *self.checks])
 
 
 @dataclass(frozen=True)

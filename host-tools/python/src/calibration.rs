@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
-use std::sync::{Mutex, PoisonError};
+use std::time::Instant;
 
 use analysis::compare::campaign_reader::{Caching, ScannedCampaign, read_campaign};
 use analysis::compare::pipeline;
@@ -10,27 +10,38 @@ use analysis::diagnose::observer::Observer;
 use analysis::diagnose::{self, Diagnosis, Scope};
 use analysis::edit_model::{edited_effects, find_effects, parse_formulas, refit};
 use analysis::fit::fit_model;
+use analysis::import::import_campaign;
+use analysis::network_training::dataset::TrainingData;
+use analysis::network_training::{TrainingResult, default_epochs, default_hidden};
 use analysis::notes::{Note, check_compensated};
+use analysis::replay::bags::write_bags;
 use analysis::replay::evaluation;
 use anyhow::{Context, Result, bail};
-use device_run::networks::NetworkSet;
+use device_run::networks::{NetworkSet, tables_source};
 use model_export::design::SensorDesign;
 use model_export::effects::expression::ParameterRange;
 use model_export::effects::{CATALOGUE, EffectTerm};
 use model_export::fit::FitOptions;
+use model_export::gru::network::Target;
+use model_export::gru::tensors::TensorFileKind;
+use model_export::gru::train::checkpoint;
+use model_export::gru::train::dataset::Topology;
+use model_export::gru::train::trainer::{Trainer, TrainingSettings};
 use model_export::inverse::build::{ModelVariant, build};
-use model_export::inverse::codegen::{MARK, source_with_networks, tables_source};
+use model_export::inverse::codegen::MARK;
 use model_export::model_file::{BaseKind, ModelFile, SIGNATURE};
-use model_export::output::{check_output, write_output};
+use model_export::output::{check_output, write_new, write_output};
 use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
+use model_export::recordings::guess;
 use pyo3::prelude::*;
 use pyo3::types::PyString;
 use report::text;
 use serde_json::{Value, json};
 use sim::campaign::settings::CampaignSettings;
 
-use crate::{interrupt, to_text, with_notes};
+use crate::interrupt::{self, Progress};
+use crate::{to_text, with_notes};
 
 /// A formula's nonlinear parameter with the ends of its range.
 type Range = (String, f64, f64);
@@ -123,7 +134,7 @@ fn diagnose_campaign(
     delay_ms: f64,
     seed: u64,
 ) -> PyResult<Py<PyString>> {
-    let raised = Mutex::new(None);
+    let progress = Progress::new(progress);
     let result = interrupt::run(py, |stop| {
         let file = ModelFile::read(&model)?;
         let alignment = alignment(delay_ms);
@@ -139,16 +150,7 @@ fn diagnose_campaign(
         let rows = reader.whole()?;
         let own = formulas(&exprs, &ranges, &rows)?;
         let observer = Observer::new(
-            |stage, share| {
-                if let Some(progress) = progress.as_ref().filter(|_| !stop.load(Ordering::Relaxed))
-                {
-                    let called = Python::attach(|py| progress.call1(py, (stage, share)).map(drop));
-                    if let Err(error) = called {
-                        stop.store(true, Ordering::Relaxed);
-                        *raised.lock().unwrap_or_else(PoisonError::into_inner) = Some(error);
-                    }
-                }
-            },
+            |stage, share| progress.call(stop, stage, share),
             |_| (),
             || stop.load(Ordering::Relaxed),
         );
@@ -161,10 +163,7 @@ fn diagnose_campaign(
         diagnosis.set_suggestion(&own, file.base, delay_ms, is_fitted_here);
         Ok(text::diagnosis::to_json(&diagnosis))
     })?;
-    // An exception in the callback has ended the diagnosis early.
-    if let Some(error) = raised.into_inner().unwrap_or_else(PoisonError::into_inner) {
-        return Err(error);
-    }
+    progress.finish()?;
     Ok(to_text(py, &result))
 }
 
@@ -227,14 +226,126 @@ fn export(
         let built = build(&model, ModelVariant::Fitted)?;
         check_compensated(&built, "remove it from the model")?;
         let networks = network.as_deref().map(|path| NetworkSet::read(path, &built)).transpose()?;
-        let source = match &networks {
-            None => tables_source(&built),
-            Some(set) => source_with_networks(&built, &set.file.networks, &set.packed)?,
-        };
+        let source = tables_source(&built, networks.as_ref())?;
         write_output(&output, source.as_bytes(), MARK)?;
         Ok(text::export::to_json(&built.chosen, &built.header))
     })?;
     Ok(to_text(py, &result))
+}
+
+/// Trains networks that estimate each force with its standard deviation, and writes them. With a `checkpoint`, each epoch is saved
+/// there, and a training that was ended goes on.
+#[pyfunction]
+#[allow(clippy::too_many_arguments, reason = "keywords in Python")]
+fn train(
+    py: Python<'_>,
+    model: PathBuf,
+    campaign: PathBuf,
+    output: PathBuf,
+    quick: bool,
+    hidden: Option<usize>,
+    axes: &str,
+    with_ideal: bool,
+    of_residual: bool,
+    shared: bool,
+    hold_out: Option<usize>,
+    epochs: Option<u32>,
+    patience: u32,
+    rate: f64,
+    zero_weight: f64,
+    checkpoint: Option<PathBuf>,
+    progress: Option<Py<PyAny>>,
+    delay_ms: f64,
+    seed: u64,
+) -> PyResult<Py<PyString>> {
+    let axes = axes.chars().map(|axis| "xyz".find(axis)).collect::<Option<Vec<usize>>>();
+    let progress = Progress::new(progress);
+    let result = interrupt::run(py, |stop| {
+        let topology = Topology {
+            axes: axes.filter(|axes| !axes.is_empty()).context("axes: give letters of \"xyz\"")?,
+            ideal: with_ideal,
+            target: if of_residual { Target::Residual } else { Target::Force },
+            shared,
+            hidden: hidden.unwrap_or_else(|| default_hidden(shared, quick)),
+        };
+        let epochs = epochs.unwrap_or_else(|| default_epochs(quick));
+        check_output(&output, TensorFileKind::Network.mark())?;
+        if let Some(path) = &checkpoint {
+            check_output(path, TensorFileKind::Checkpoint.mark())?;
+        }
+        let start = Instant::now();
+        let data = TrainingData::read(&model, &campaign, hold_out, alignment(delay_ms))?;
+        let force_range_n = data.built.model.force_range_n();
+        let settings = TrainingSettings {
+            seed,
+            epochs,
+            patience,
+            rate,
+            near_zero: zero_weight,
+            force_range_n,
+        };
+        let mut trainer = Trainer::new(settings, topology, &data.training, &data.held_out)?;
+        if let Some(path) = checkpoint.as_deref().filter(|path| path.exists()) {
+            checkpoint::resume(path, &mut trainer, &data.key())?;
+        }
+        while !trainer.finished() && !stop.load(Ordering::Relaxed) {
+            let losses = trainer.epoch()?;
+            if let Some(path) = &checkpoint {
+                checkpoint::write(path, &trainer, &data.key())?;
+            }
+            let stage = format!("training, held-out loss {:.3}", losses.held_out_loss);
+            progress.call(stop, &stage, f64::from(trainer.epoch) / f64::from(epochs));
+        }
+        if stop.load(Ordering::Relaxed) {
+            return Ok(Value::Null);
+        }
+        let trained = TrainingResult::of(&trainer, &data, start.elapsed())?;
+        trained.network_file(&trainer, &data).write(&output)?;
+        Ok(with_notes(text::training::to_json(&trained, &data.notes), &data.notes))
+    })?;
+    progress.finish()?;
+    Ok(to_text(py, &result))
+}
+
+/// Writes a mapping proposed from the names and values of source files.
+#[pyfunction]
+fn guess_mapping(py: Python<'_>, sources: Vec<PathBuf>, output: PathBuf) -> PyResult<Py<PyString>> {
+    let result = interrupt::run(py, move |_| {
+        let proposal = guess::propose(&sources)?;
+        write_new(&output, proposal.text.as_bytes())?;
+        Ok(text::import::proposal_json(&proposal, &output))
+    })?;
+    Ok(to_text(py, &result))
+}
+
+/// Converts source files to a campaign with a mapping file.
+#[pyfunction]
+fn import_recordings(
+    py: Python<'_>,
+    mapping: PathBuf,
+    sources: Vec<PathBuf>,
+    output: PathBuf,
+) -> PyResult<Py<PyString>> {
+    let result = interrupt::run(py, move |_| {
+        let imported = import_campaign(&mapping, &sources, &output)?;
+        Ok(with_notes(text::import::to_json(&imported), &imported.notes))
+    })?;
+    Ok(to_text(py, &result))
+}
+
+/// Writes the recordings of a campaign with the device's estimates as MCAP files.
+#[pyfunction]
+fn export_mcap(
+    py: Python<'_>,
+    model: PathBuf,
+    campaign: PathBuf,
+    output: PathBuf,
+    network: Option<PathBuf>,
+    delay_ms: f64,
+) -> PyResult<Vec<PathBuf>> {
+    interrupt::run(py, move |_| {
+        write_bags(&model, network.as_deref(), &campaign, &output, alignment(delay_ms))
+    })
 }
 
 /// Writes a campaign of a simulated gripper; its true parameters are in `truth`.
@@ -244,6 +355,7 @@ fn simulate(
     py: Python<'_>,
     output: PathBuf,
     truth: Option<PathBuf>,
+    design: Option<PathBuf>,
     effects: Vec<String>,
     programme: Option<String>,
     recordings: Option<u32>,
@@ -253,7 +365,11 @@ fn simulate(
     seed: u64,
 ) -> PyResult<Py<PyString>> {
     let result = interrupt::run(py, move |_| {
-        let default = CampaignSettings::of_design(&SensorDesign::magpie());
+        let design = match design {
+            Some(path) => SensorDesign::read(&path)?,
+            None => SensorDesign::magpie(),
+        };
+        let default = CampaignSettings::of_design(&design);
         let settings = CampaignSettings {
             effects: effects.iter().map(|text| text.parse()).collect::<Result<_>>()?,
             programme: match programme {
@@ -313,6 +429,10 @@ pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(edit, module)?)?;
     module.add_function(wrap_pyfunction!(replay, module)?)?;
     module.add_function(wrap_pyfunction!(export, module)?)?;
+    module.add_function(wrap_pyfunction!(train, module)?)?;
+    module.add_function(wrap_pyfunction!(guess_mapping, module)?)?;
+    module.add_function(wrap_pyfunction!(import_recordings, module)?)?;
+    module.add_function(wrap_pyfunction!(export_mcap, module)?)?;
     module.add_function(wrap_pyfunction!(simulate, module)?)?;
     module.add_function(wrap_pyfunction!(effects, module)?)?;
     module.add_function(wrap_pyfunction!(campaign, module)?)

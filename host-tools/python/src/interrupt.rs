@@ -2,6 +2,7 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, RecvTimeoutError};
+use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use anyhow::Result;
@@ -39,4 +40,36 @@ pub fn run<T: Send>(
             interrupt.map_or_else(|| result.map_err(raise), Err)
         })
     })
+}
+
+/// A Python function that is called with the stage of the work and the share that is done. An exception in it ends the work.
+pub struct Progress {
+    function: Option<Py<PyAny>>,
+    raised: Mutex<Option<PyErr>>,
+}
+
+impl Progress {
+    pub fn new(function: Option<Py<PyAny>>) -> Self {
+        Self { function, raised: Mutex::new(None) }
+    }
+
+    /// Calls the function, unless the work is about to end.
+    pub fn call(&self, stop: &AtomicBool, stage: &str, share: f64) {
+        let Some(function) = self.function.as_ref().filter(|_| !stop.load(Ordering::Relaxed))
+        else {
+            return;
+        };
+        let called = Python::attach(|py| function.call1(py, (stage, share)).map(drop));
+        if let Err(error) = called {
+            stop.store(true, Ordering::Relaxed);
+            *self.raised.lock().unwrap_or_else(PoisonError::into_inner) = Some(error);
+        }
+    }
+
+    /// # Errors
+    /// The exception of the function.
+    pub fn finish(self) -> PyResult<()> {
+        let raised = self.raised.into_inner().unwrap_or_else(PoisonError::into_inner);
+        raised.map_or(Ok(()), Err)
+    }
 }

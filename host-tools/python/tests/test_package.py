@@ -158,6 +158,68 @@ def test_simulation_is_diagnosed_and_exported(tmp_path):
     assert "pub" in tables.path.read_text()
 
 
+def test_networks_are_those_of_the_command_also_after_an_interruption(command, tmp_path, ripple, fitted):
+    options = {"hidden": 4, "epochs": 2, "seed": 3}
+    path = tmp_path / "network.safetensors"
+    trained = magpie.train(fitted.model, ripple, output=path, **options)
+    written = tmp_path / "command.safetensors"
+    words = [word for key, value in options.items() for word in (f"--{key}", value)]
+    expected = command("train", fitted.model.path, ripple.path, *words, "-o", written)
+    for data in (trained.data, expected):
+        data.pop("seconds")
+    assert trained.data == expected and path.read_bytes() == written.read_bytes()
+    assert str(trained).startswith("Over all forces: ")
+
+    def stop(stage, share):
+        raise RuntimeError(stage)
+
+    checkpoint = tmp_path / "checkpoint.safetensors"
+    with pytest.raises(RuntimeError, match="training, held-out loss"):
+        magpie.train(fitted.model, ripple, checkpoint=checkpoint, progress=stop, **options)
+    shares = []
+    resumed = magpie.train(
+        fitted.model, ripple, checkpoint=checkpoint, progress=lambda stage, share: shares.append(share), **options
+    )
+    assert shares == [1.0] and resumed.network.path.read_bytes() == path.read_bytes()
+
+    estimates = magpie.Device(fitted.model, resumed.network).run_recording(ripple.recordings[0]["folder"])
+    # None until its state has decayed.
+    sigma_n = estimates.to_pandas().f1_z_sigma_n.dropna()
+    assert len(sigma_n) > 1000 and (sigma_n > 0).all()
+    tables = magpie.export(fitted.model, tmp_path / "tables.rs", network=resumed.network)
+    assert len(tables.path.read_text()) > len(magpie.export(fitted.model, tmp_path / "without.rs").path.read_text())
+    with pytest.raises(magpie.MagpieError, match="axes"):
+        magpie.train(fitted.model, ripple, axes="xw")
+
+
+def test_files_with_the_estimates_are_imported_again(tmp_path, ripple, fitted):
+    files = magpie.export_mcap(fitted.model, ripple, tmp_path / "mcap")
+    assert len(files) == len(ripple.recordings)
+    proposal = magpie.guess_mapping(files, tmp_path / "mapping.toml")
+    assert "s0_x_lsb" in set(proposal.to_pandas().to)
+    copy = magpie.Campaign.from_files(files, proposal.mapping)
+    assert copy.sensors == ripple.sensors and copy.notes == []
+    assert magpie.fit(copy).held_out_rms_g == fitted.held_out_rms_g
+
+
+def test_errors_of_an_import_say_what_to_correct(tmp_path):
+    (tmp_path / "run.csv").write_text("t,bx,by,bz,fx\n0,1,2,3,0\n1,1,,3,0\n")
+    column = '{{ from = "{0}", unit = "{1}", to = "{2}" }}'.format
+    fields = ", ".join(column(f"b{axis}", "G", f"s0_{axis}_gauss") for axis in "xyz")
+    side = '[{0}]\nclock = {{ from = "t", unit = "s" }}\ncolumns = [{1}]\n'.format
+    mapping = tmp_path / "mapping.toml"
+    mapping.write_text('description = "test"\n' + side("hall", fields) + side("force", column("fx", "N", "f0_x_n")))
+    with pytest.raises(magpie.MagpieError, match="leave the column out of .*mapping.toml"):
+        magpie.Campaign.from_files([tmp_path / "run.csv"], mapping)
+
+
+def test_tables_of_results_are_arrow_tables_too(ripple, fitted):
+    compared = magpie.compare(fitted.model, ripple)
+    assert compared.to_arrow().column_names == list(compared.to_pandas().columns)
+    estimates = magpie.Device(fitted.model).run_recording(ripple.recordings[0]["folder"])
+    np.testing.assert_array_equal(estimates.to_arrow()["f1_z_n"].to_numpy(), estimates.force_n[:, 1, 1])
+
+
 def test_other_threads_run_during_a_fit(ripple):
     counted = 0
     done = threading.Event()
