@@ -1,10 +1,14 @@
 //! Runs the tests of the Python package with this build of its library, where `PYTHON` names an interpreter that has numpy, pandas,
-//! matplotlib, pytest, and the reference implementations of bags (see `.ci/run`).
+//! matplotlib, pytest, and the reference implementations of bags (see `.ci/run`). With the argument `notebooks` it runs the notebooks,
+//! which need the command and the image that other tests build.
 
 use std::env::consts::{DLL_PREFIX, DLL_SUFFIX};
-use std::ffi::OsString;
 use std::path::Path;
 use std::process::Command;
+
+/// Tests with a process of their own. Dask leaves threads and finalizers behind, in which a Ctrl-C of another test could end.
+const FLEET: &str = "test_fleet.py";
+const NOTEBOOKS: &str = "test_notebooks.py";
 
 fn main() {
     let Some(python) = std::env::var_os("PYTHON") else {
@@ -27,11 +31,8 @@ fn main() {
         }
     }
     std::fs::copy(library, copy.join("_magpie.abi3.so")).unwrap();
-    // Dask leaves threads and finalizers behind, in which a Ctrl-C of another test could end.
-    let (tests, fleet) = (package.join("tests"), package.join("tests/test_fleet.py"));
-    let mut others = OsString::from("--ignore=");
-    others.push(&fleet);
-    for arguments in [vec![tests.into_os_string(), others], vec![fleet.into_os_string()]] {
+    let tests = package.join("tests");
+    let run = |arguments: &[String]| {
         let status = Command::new(&python)
             .args(["-m", "pytest", "-q", "-p", "no:cacheprovider"])
             .args(arguments)
@@ -40,5 +41,13 @@ fn main() {
             .env("PYTHONDONTWRITEBYTECODE", "1")
             .status();
         assert!(status.unwrap().success(), "the tests of the Python package failed");
+    };
+    let path = |name: &str| tests.join(name).display().to_string();
+    if std::env::args().any(|argument| argument == "notebooks") {
+        run(&[path(NOTEBOOKS)]);
+        return;
     }
+    let others = [FLEET, NOTEBOOKS].map(|name| format!("--ignore={}", path(name)));
+    run(&[vec![tests.display().to_string()], others.to_vec()].concat());
+    run(&[path(FLEET)]);
 }
