@@ -1,8 +1,10 @@
 //! Import of measurement tables as a campaign, with the checks of a fit.
 
+use std::error::Error;
+use std::fmt;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Result, anyhow};
+use anyhow::Result;
 use model_export::fit::FitError;
 use model_export::fit::campaign::FitSetup;
 use model_export::recordings::align::Alignment;
@@ -55,7 +57,7 @@ pub fn import_campaign(
     sources: &[PathBuf],
     output: &Path,
 ) -> Result<ImportedCampaign> {
-    let explained = |error| with_remedy(error, mapping, output);
+    let explained = |error| ImportError::of(error, mapping, output);
     collect(|notes| {
         let bar = progress::progress_bar("importing", sources.len());
         let (recordings, notices) =
@@ -74,34 +76,54 @@ pub fn import_campaign(
     })
 }
 
-/// The user has the sources and the mapping, not the columns of the new recordings.
-fn with_remedy(error: DataError, mapping: &Path, output: &Path) -> anyhow::Error {
-    let mapping = mapping.display();
-    let is_in_campaign = error.location.file.starts_with(output) && error.location.file != output;
-    match *error.kind {
-        ErrorKind::NoOverlap { hall_from, hall_to, force_from, force_to } => {
-            let ratio = (force_to - force_from) / (hall_to - hall_from);
-            if !(1.0 / OTHER_UNIT..=OTHER_UNIT).contains(&ratio) {
-                return anyhow!(
-                    "{error}; {mapping}: the reference lasts {ratio:.3} times as long as the board, as if one of the two clocks were in another \
-                     unit: correct `unit` of the clock there"
-                );
+/// An error with what to correct in the mapping: the user has the sources and the mapping, not the columns of the new recordings.
+#[derive(Debug)]
+pub struct ImportError {
+    /// The error.
+    pub error: DataError,
+    text: String,
+}
+
+impl fmt::Display for ImportError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.text)
+    }
+}
+
+impl Error for ImportError {}
+
+impl ImportError {
+    fn of(error: DataError, mapping: &Path, output: &Path) -> Self {
+        let mapping = mapping.display();
+        let is_in_campaign =
+            error.location.file.starts_with(output) && error.location.file != output;
+        let text = match *error.kind {
+            ErrorKind::NoOverlap { hall_from, hall_to, force_from, force_to } => {
+                let ratio = (force_to - force_from) / (hall_to - hall_from);
+                let increase = hall_from - force_from;
+                if (1.0 / OTHER_UNIT..=OTHER_UNIT).contains(&ratio) {
+                    format!(
+                        "{error}; in {mapping}: where both began at the same instant, increase offset_s of the clock of [force] by \
+                         {increase:.3}, or, where they do in every recording, set from_first_row = true in both clocks"
+                    )
+                } else {
+                    format!(
+                        "{error}; {mapping}: the reference lasts {ratio:.3} times as long as the board, as if one of the two clocks were in \
+                         another unit: correct `unit` of the clock there"
+                    )
+                }
             }
-            let increase = hall_from - force_from;
-            anyhow!(
-                "{error}; in {mapping}: where both began at the same instant, increase offset_s of the clock of [force] by {increase:.3}, or, \
-                 where they do in every recording, set from_first_row = true in both clocks"
-            )
-        }
-        ErrorKind::EmptyCell if !error.location.file.starts_with(output) => {
-            anyhow!("{error}; or leave the column out of {mapping}")
-        }
-        _ if is_in_campaign && error.kind.is_of_unit() => {
-            anyhow!("{error}; units and clocks are what {mapping} states: correct `unit` there")
-        }
-        _ if is_in_campaign => {
-            anyhow!("{error} ({mapping} states which columns of the source this file has)")
-        }
-        _ => error.into(),
+            ErrorKind::EmptyCell if !error.location.file.starts_with(output) => {
+                format!("{error}; or leave the column out of {mapping}")
+            }
+            _ if is_in_campaign && error.kind.is_of_unit() => {
+                format!("{error}; units and clocks are what {mapping} states: correct `unit` there")
+            }
+            _ if is_in_campaign => {
+                format!("{error} ({mapping} states which columns of the source this file has)")
+            }
+            _ => error.to_string(),
+        };
+        Self { error, text }
     }
 }

@@ -171,7 +171,8 @@ impl UncompensatedEffect {
 pub struct ErrorWithNotes {
     /// The notes.
     pub notes: Vec<Note>,
-    error: anyhow::Error,
+    /// The error.
+    pub error: anyhow::Error,
 }
 
 impl fmt::Display for ErrorWithNotes {

@@ -1,15 +1,19 @@
 //! Progress on stderr: bars on a terminal, else a line every ten seconds.
 
+use std::fmt::Write;
 use std::io::{self, IsTerminal};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use indicatif::{HumanCount, ProgressBar, ProgressDrawTarget, ProgressStyle, TermLike};
+use indicatif::{
+    HumanCount, HumanDuration, ProgressBar, ProgressDrawTarget, ProgressState, ProgressStyle,
+    TermLike,
+};
 
 /// A bar over `steps`, removed when dropped.
 pub fn progress_bar(message: &'static str, steps: usize) -> ProgressBar {
     let bar = ProgressBar::new(steps as u64);
-    styled(bar, "{msg:<28} [{bar:30}] {pos}/{len} {elapsed}, about {eta} left", message)
+    styled(bar, "{msg:<28} [{bar:30}] {pos}/{len} {elapsed}{about}", message)
 }
 
 /// A spinner with the number and rate of rows, where the total is unknown.
@@ -20,7 +24,7 @@ pub fn row_spinner(message: &'static str) -> ProgressBar {
 
 /// A bar over recordings; [`show_rows`] adds the rows.
 pub fn recording_bar(message: &'static str, recordings: usize) -> ProgressBar {
-    let template = "{msg:<44} [{bar:20}] {pos}/{len} {elapsed}, about {eta} left";
+    let template = "{msg:<44} [{bar:20}] {pos}/{len} {elapsed}{about}";
     styled(ProgressBar::new(recordings as u64), template, message)
 }
 
@@ -37,7 +41,7 @@ pub fn status_spinner(message: &'static str) -> ProgressBar {
 /// A bar over training epochs with the maximum remaining time.
 pub fn epoch_bar(message: &'static str, epochs: u32, done: u32) -> ProgressBar {
     let bar = ProgressBar::new(u64::from(epochs)).with_position(u64::from(done));
-    let template = "{msg:<44} [{bar:20}] {pos}/{len} {elapsed}, at most {eta} left";
+    let template = "{msg:<44} [{bar:20}] {pos}/{len} {elapsed}{at_most}";
     let bar = styled(bar, template, message);
     bar.reset_eta();
     bar
@@ -45,7 +49,7 @@ pub fn epoch_bar(message: &'static str, epochs: u32, done: u32) -> ProgressBar {
 
 /// A bar whose length grows as work is announced, with the maximum remaining time.
 pub fn growing_bar() -> ProgressBar {
-    let template = "{msg:<44} [{bar:20}] {elapsed}, at most {eta} left";
+    let template = "{msg:<44} [{bar:20}] {elapsed}{at_most}";
     styled(ProgressBar::new(0), template, "fitting the physics")
 }
 
@@ -92,6 +96,13 @@ impl Stages {
 
 fn styled(bar: ProgressBar, template: &str, message: &'static str) -> ProgressBar {
     if let Ok(style) = ProgressStyle::with_template(template) {
+        let style = style
+            .with_key("about", |state: &ProgressState, out: &mut dyn Write| {
+                left(state, "about", out)
+            })
+            .with_key("at_most", |state: &ProgressState, out: &mut dyn Write| {
+                left(state, "at most", out)
+            });
         bar.set_style(style.progress_chars("=> "));
     }
     if !io::stderr().is_terminal() {
@@ -100,6 +111,14 @@ fn styled(bar: ProgressBar, template: &str, message: &'static str) -> ProgressBa
     bar.set_message(message);
     bar.enable_steady_tick(Duration::from_millis(100));
     bar
+}
+
+/// The time left, unknown before the first step.
+fn left(state: &ProgressState, qualifier: &str, out: &mut dyn Write) {
+    if state.pos() > 0 {
+        // Text in memory.
+        let _ = write!(out, ", {qualifier} {:#} left", HumanDuration(state.eta()));
+    }
 }
 
 /// Time between two lines where stderr is no terminal.

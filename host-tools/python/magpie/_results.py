@@ -7,7 +7,10 @@ import shutil
 import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
+
+if TYPE_CHECKING:
+    from typing import Self  # Python 3.11
 
 
 @dataclass(frozen=True)
@@ -20,7 +23,7 @@ class _File:
     _function: ClassVar[str]
 
     @classmethod
-    def read(cls, path: str | Path) -> _File:
+    def read(cls, path: str | Path) -> Self:
         """The file at this path."""
         path = Path(path)
         if not path.is_file():
@@ -28,14 +31,14 @@ class _File:
         return cls(path)
 
     @classmethod
-    def new(cls, output: str | Path | None) -> _File:
+    def new(cls, output: str | Path | None) -> Self:
         """A place for a file that is about to be written."""
         if output is not None:
             return cls(Path(output))
         folder = tempfile.TemporaryDirectory(prefix="magpie-")
         return cls(Path(folder.name) / cls._name, folder)
 
-    def save(self, path: str | Path) -> _File:
+    def save(self, path: str | Path) -> Self:
         """Copies the file; an existing one is replaced."""
         shutil.copyfile(self.path, path)
         return type(self)(Path(path))
@@ -187,6 +190,21 @@ class Diagnosis(_Result):
     def next(self) -> list[str]:
         """Suggested commands."""
         return self.data["next"]
+
+    def plot(self, axes=None):
+        """Held-out error of the field, in noise floors, over the effects that were added one by one; returns the axes of matplotlib."""
+        if axes is None:
+            import matplotlib.pyplot as plt
+
+            _, axes = plt.subplots()
+        steps = self.data["staircase"]
+        floors = [step["held_out_rms_g"] / step["floor_g"] for step in steps]
+        axes.step(range(len(steps)), floors, where="mid", marker="o")
+        axes.axhline(1, linestyle="--", color="0.5", label="noise floor")
+        names = ["base", *("+ " + " or ".join(step["added"]) for step in steps[1:])]
+        axes.set(yscale="log", ylabel="held-out field error, noise floors", xticks=range(len(steps)), xticklabels=names)
+        axes.legend()
+        return axes
 
     def _rows(self) -> list[dict[str, Any]]:
         return [vars(verdict) for verdict in self.verdicts]

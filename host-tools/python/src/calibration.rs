@@ -1,4 +1,4 @@
-//! Fit, comparison, diagnosis, edit, replay, export and simulation, as the commands of the same names.
+//! Import, fit, comparison, diagnosis, edit, replay, training, export and simulation, as the commands of the same names.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;

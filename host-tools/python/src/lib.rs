@@ -8,6 +8,7 @@ mod interrupt;
 
 use std::path::PathBuf;
 
+use analysis::import::ImportError;
 use analysis::notes::{ErrorWithNotes, Note};
 use model_export::recordings::{DataError, Location};
 use pyo3::exceptions::PyValueError;
@@ -27,10 +28,16 @@ create_exception!(
 /// An error with its place as attributes.
 fn to_python(py: Python<'_>, error: anyhow::Error) -> PyErr {
     let raised = MagpieError::new_err(format!("{error:#}"));
-    let place = error.chain().find_map(|cause| cause.downcast_ref::<DataError>());
+    let (error, notes) = match error.downcast::<ErrorWithNotes>() {
+        Ok(with_notes) => (with_notes.error, texts(&with_notes.notes)),
+        Err(error) => (error, Vec::new()),
+    };
+    let place = error.chain().find_map(|cause| {
+        let of_import = cause.downcast_ref::<ImportError>().map(|explained| &explained.error);
+        cause.downcast_ref::<DataError>().or(of_import)
+    });
     let place = place.map_or_else(Location::default, |error| (*error.location).clone());
     let file = (place.file != PathBuf::new()).then_some(place.file);
-    let notes = error.downcast_ref::<ErrorWithNotes>().map_or_else(Vec::new, |e| texts(&e.notes));
     let value = raised.value(py);
     let set = value
         .setattr("file", file)

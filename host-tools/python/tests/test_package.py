@@ -130,6 +130,9 @@ def test_errors_have_a_place(tmp_path, fitted):
         magpie.Campaign.read(tmp_path / "campaign")
     assert str(raised.value.file).endswith("hall.csv")
     assert (raised.value.line, raised.value.column) == (3, "s0_y_gauss")
+    with pytest.raises(magpie.MagpieError) as raised:
+        magpie.fit(tmp_path / "campaign")
+    assert (raised.value.line, raised.value.column) == (3, "s0_y_gauss")
     with pytest.raises(magpie.MagpieError, match="hysterisis.*did you mean hysteresis"):
         magpie.simulate(tmp_path / "simulated", "hysterisis")
     one_sensor = {f"s0_{axis}_gauss": [1.0] for axis in "xyz"}
@@ -209,8 +212,9 @@ def test_errors_of_an_import_say_what_to_correct(tmp_path):
     side = '[{0}]\nclock = {{ from = "t", unit = "s" }}\ncolumns = [{1}]\n'.format
     mapping = tmp_path / "mapping.toml"
     mapping.write_text('description = "test"\n' + side("hall", fields) + side("force", column("fx", "N", "f0_x_n")))
-    with pytest.raises(magpie.MagpieError, match="leave the column out of .*mapping.toml"):
+    with pytest.raises(magpie.MagpieError, match="leave the column out of .*mapping.toml") as raised:
         magpie.Campaign.from_files([tmp_path / "run.csv"], mapping)
+    assert (Path(raised.value.file).name, raised.value.line, raised.value.column) == ("run.csv", 3, "by")
 
 
 def test_tables_of_results_are_arrow_tables_too(ripple, fitted):

@@ -10,6 +10,10 @@ use crate::physics::sensor::GAP_WEIGHT;
 use nalgebra::{DMatrix, Matrix2, Vector2, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use wide::f64x4;
+
+/// Functions that are evaluated together.
+const LANES: usize = 4;
 
 /// Hyperparameters of a model.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -112,16 +116,24 @@ impl Grbf {
         [1.0, s.x, s.y, s.z].into_iter().chain(functions).collect()
     }
 
-    /// Forces in newtons at a field in gauss.
+    /// Forces in newtons at a field in gauss; four functions at a time, to within their rounding.
     pub fn force(&self, field_g: &Vector3<f64>) -> [f64; 2] {
         let s = self.design.coordinates(field_g);
-        let mut force = [0, 1].map(|axis| self.bias_n[axis] + self.slope_n[axis].dot(&s));
-        for (centre, weight) in self.centres.iter().zip(&self.weights_n) {
-            let value = libm::exp(-self.gamma * (s - centre).norm_squared());
-            force[0] += weight[0] * value;
-            force[1] += weight[1] * value;
+        let mut sums = [f64x4::ZERO; 2];
+        for (centres, weights) in self.centres.chunks(LANES).zip(self.weights_n.chunks(LANES)) {
+            // Lanes without a centre have no weight.
+            let mut squared = [0.0; LANES];
+            let mut of_axis = [[0.0; LANES]; 2];
+            for (lane, (centre, weight)) in centres.iter().zip(weights).enumerate() {
+                squared[lane] = (s - centre).norm_squared();
+                (of_axis[0][lane], of_axis[1][lane]) = (weight[0], weight[1]);
+            }
+            let values = (f64x4::from(squared) * f64x4::splat(-self.gamma)).exp();
+            for (sum, weights) in sums.iter_mut().zip(of_axis) {
+                *sum += values * f64x4::from(weights);
+            }
         }
-        force
+        [0, 1].map(|axis| self.bias_n[axis] + self.slope_n[axis].dot(&s) + sums[axis].reduce_add())
     }
 }
 
@@ -190,6 +202,9 @@ fn sample(model: &StaticModel, load_n: [f64; 2], parity_residual_g: f64) -> Fiel
     FieldSample { field_g, force_n: nearest_forces(model, &field_g, load_n) }
 }
 
+/// Step of the force from which on the nearest one is found.
+const CONVERGED_N: f64 = 1e-9;
+
 /// Forces whose field is nearest to `field_g`, from a close start (Gauss-Newton).
 pub fn nearest_forces(model: &StaticModel, field_g: &Vector3<f64>, start_n: [f64; 2]) -> [f64; 2] {
     let weight = Vector3::new(1.0, GAP_WEIGHT, 1.0);
@@ -203,7 +218,12 @@ pub fn nearest_forces(model: &StaticModel, field_g: &Vector3<f64>, start_n: [f64
         let Some(inverse) = normal.try_inverse() else {
             break;
         };
-        force += inverse * right;
+        let step = inverse * right;
+        force += step;
+        // The next step would be of rounding errors; without noise the first one is.
+        if step.norm() < CONVERGED_N {
+            break;
+        }
     }
     force.into()
 }
