@@ -188,7 +188,7 @@ class Bench:
         print(line, flush=True)
 
     def closed_loop(self):
-        whole = self.run("grasp", "--force", "100", "--seconds", "1", "--json")
+        whole = self.run("grasp", "--force", "100", "-o", self.work / "grasp.html", "--json")
         virtual_s = max(point["time_s"] for point in whole.json["points"])
         self.real_time("grasp in virtual time", whole.wall_s, virtual_s, 60)
 

@@ -5,6 +5,7 @@
 //! linear part carries most of the force; the functions add the curvature, which limits their weights and
 //! rounding errors.
 
+use crate::fit::tall_products::{columns, gram, products};
 use crate::inverse::static_model::{DesignBox, StaticModel, lattice};
 use crate::physics::sensor::GAP_WEIGHT;
 use nalgebra::{DMatrix, Matrix2, Vector2, Vector3};
@@ -80,15 +81,11 @@ impl Grbf {
             slope_n: [Vector3::zeros(); 2],
         };
         let width = 4 + unsolved.centres.len();
-        let regressors = DMatrix::from_row_iterator(
-            samples.len(),
-            width,
-            samples.iter().flat_map(|sample| unsolved.regressors(&sample.field_g)),
-        );
-        let forces =
-            DMatrix::from_row_iterator(samples.len(), 2, samples.iter().flat_map(|s| s.force_n));
-        let normal = regressors.tr_mul(&regressors);
-        let right = regressors.tr_mul(&forces);
+        let regressors = unsolved.regressors(samples);
+        let forces = DMatrix::from_fn(samples.len(), 2, |row, axis| samples[row].force_n[axis]);
+        let regressors = columns(&regressors, 0..samples.len());
+        let normal = gram(&regressors);
+        let right = products(&regressors, &columns(&forces, 0..samples.len()));
         let solve = |ridge: &f64| {
             let mut normal = normal.clone();
             for i in 0..width {
@@ -109,11 +106,20 @@ impl Grbf {
         self
     }
 
-    fn regressors(&self, field_g: &Vector3<f64>) -> Vec<f64> {
-        let s = self.design.coordinates(field_g);
-        let functions =
-            self.centres.iter().map(|centre| libm::exp(-self.gamma * (s - centre).norm_squared()));
-        [1.0, s.x, s.y, s.z].into_iter().chain(functions).collect()
+    /// Linear part and functions at the samples: a row for each.
+    fn regressors(&self, samples: &[FieldSample]) -> DMatrix<f64> {
+        let coordinates: Vec<Vector3<f64>> =
+            samples.iter().map(|sample| self.design.coordinates(&sample.field_g)).collect();
+        DMatrix::from_fn(samples.len(), 4 + self.centres.len(), |row, column| {
+            let s = coordinates[row];
+            match column.checked_sub(4) {
+                Some(centre) => {
+                    libm::exp(-self.gamma * (s - self.centres[centre]).norm_squared())
+                }
+                None if column == 0 => 1.0,
+                None => s[column - 1],
+            }
+        })
     }
 
     /// Forces in newtons at a field in gauss; four functions at a time, to within their rounding.
