@@ -12,6 +12,7 @@ import platform
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,6 +38,30 @@ class Measured:
         return json.loads(self.output)
 
 
+class Peak(threading.Thread):
+    """Peak memory of a process since it began its program; ru_maxrss would count this interpreter, of which it is a copy at first."""
+
+    def __init__(self, pid):
+        super().__init__(daemon=True)
+        self.pid, self.mb = pid, 0.0
+        self.start()
+
+    def run(self):
+        own = Path(f"/proc/{os.getpid()}/exe").resolve()
+        while True:
+            try:
+                is_begun = Path(f"/proc/{self.pid}/exe").resolve() != own
+                lines = Path(f"/proc/{self.pid}/status").read_text().splitlines()
+            except OSError:
+                return
+            found = [line.split()[1] for line in lines if line.startswith("VmHWM")]
+            if not found:
+                return
+            if is_begun:
+                self.mb = int(found[0]) / 1024
+            time.sleep(0.005)
+
+
 def measure(words, cores=None, rounds=1, folder=None, **environment):
     """Shortest wall time of a program, on the first `cores` cores if given."""
     best = None
@@ -47,14 +72,16 @@ def measure(words, cores=None, rounds=1, folder=None, **environment):
             child = subprocess.Popen(
                 list(map(str, words)), stdout=out, stderr=errors, cwd=folder, env=os.environ | environment, preexec_fn=limit
             )
+            peak = Peak(child.pid)
             _, status, used = os.wait4(child.pid, 0)
             wall_s = time.perf_counter() - start
+            peak.join()
             child.returncode = os.waitstatus_to_exitcode(status)
             if child.returncode:
                 errors.seek(0)
                 raise RuntimeError(f"{' '.join(map(str, words))}: status {child.returncode}\n{errors.read()[-2000:]}")
             out.seek(0)
-            measured = Measured(wall_s, used.ru_utime + used.ru_stime, used.ru_maxrss / 1024, out.read())
+            measured = Measured(wall_s, used.ru_utime + used.ru_stime, peak.mb, out.read())
         if best is None or measured.wall_s < best.wall_s:
             best = measured
     return best
@@ -335,7 +362,7 @@ def main():
             else:
                 getattr(bench, name)()
     written = report(bench, options.only)
-    results = options.results
+    results = options.results and ROOT / options.results
     if results is None and not options.quick and options.only == names:
         results = ROOT / "tests" / "speed"
     if results is None:

@@ -113,9 +113,7 @@ impl Grbf {
         DMatrix::from_fn(samples.len(), 4 + self.centres.len(), |row, column| {
             let s = coordinates[row];
             match column.checked_sub(4) {
-                Some(centre) => {
-                    libm::exp(-self.gamma * (s - self.centres[centre]).norm_squared())
-                }
+                Some(centre) => libm::exp(-self.gamma * (s - self.centres[centre]).norm_squared()),
                 None if column == 0 => 1.0,
                 None => s[column - 1],
             }

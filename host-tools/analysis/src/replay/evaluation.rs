@@ -2,6 +2,7 @@
 
 use std::cell::Cell;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use anyhow::{Result, bail};
 use device_run::ReplayModels;
@@ -13,9 +14,11 @@ use model_export::model_file::ModelFile;
 use model_export::recordings::align::Alignment;
 use model_export::recordings::campaign::recording_folders;
 use model_export::recordings::description::{NominalDesign, RecordingDescription};
+use model_export::recordings::in_order;
 use model_export::recordings::recording::fingerprint;
 use model_export::recordings::recording::recording_name;
 use model_export::recordings::stream::RawStream;
+use rayon::prelude::*;
 
 use crate::compare::ForceError;
 use crate::compare::campaign_reader::check_sensor_scale;
@@ -51,15 +54,15 @@ pub fn evaluate(
     network: Option<&Path>,
     alignment: Alignment,
 ) -> Result<ReplayEvaluation> {
-    let building = progress::progress_bar("building tables", 2);
-    let built = build(model, ModelVariant::Fitted)?;
+    let building = progress::progress_bar("building tables", 1);
+    let (built, nominal) =
+        rayon::join(|| build(model, ModelVariant::Fitted), || build(model, ModelVariant::Nominal));
+    let (built, nominal) = (built?, nominal?.chosen);
+    building.finish_and_clear();
     let networks = network.map(|path| NetworkSet::read(path, &built)).transpose()?;
     let uncompensated = UncompensatedEffect::of(&built).map(Note::Uncompensated);
     let uncompensated: Vec<Note> = uncompensated.collect();
     let DeviceModel { model: file, chosen: fitted, compensations, header, .. } = built;
-    building.inc(1);
-    let nominal = build(model, ModelVariant::Nominal)?.chosen;
-    building.finish_and_clear();
     let folders = recording_folders(campaign)?;
     let scale = file.sensor_scale;
     let mut notes = differences(&folders, &file, alignment)?;
@@ -153,7 +156,7 @@ fn differences(folders: &[PathBuf], model: &ModelFile, alignment: Alignment) -> 
     Ok(notes)
 }
 
-/// Replays all recordings in order with each of the models, with progress: by model.
+/// Replays all recordings with each of the models, with progress: by model, in the order of the folders.
 ///
 /// # Errors
 /// A recording cannot be read.
@@ -164,21 +167,25 @@ pub fn replay_all(
 ) -> Result<Vec<Vec<RecordingReplay>>> {
     let message = "replaying on the device's code";
     let bar = progress::recording_bar(message, folders.len());
-    let rows = Cell::new(0);
-    let mut replays = vec![Vec::new(); models.len()];
-    for folder in folders {
+    let rows = AtomicU64::new(0);
+    let replay = |folder: &PathBuf| -> Result<Vec<RecordingReplay>> {
         let (description, _) = RecordingDescription::read(folder)?;
         let stream = RawStream::open(folder, &description, alignment)?;
-        let before = rows.get();
+        let before = Cell::new(0);
         let done = |count| {
-            rows.set(before + count);
-            progress::show_rows(&bar, message, rows.get());
+            let new = count - before.replace(count);
+            progress::show_rows(&bar, message, rows.fetch_add(new, Ordering::Relaxed) + new);
         };
         let of_each = replay_each(models, &recording_name(folder), stream, done, |_, _| ())?;
         bar.inc(1);
+        Ok(of_each)
+    };
+    let replayed = in_order(folders.par_iter().map(replay))?;
+    bar.finish_and_clear();
+    let mut replays = vec![Vec::new(); models.len()];
+    for of_each in replayed {
         replays.iter_mut().zip(of_each).for_each(|(of_model, replay)| of_model.push(replay));
     }
-    bar.finish_and_clear();
     Ok(replays)
 }
 
