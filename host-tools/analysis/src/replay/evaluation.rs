@@ -54,7 +54,7 @@ pub fn evaluate(
     network: Option<&Path>,
     alignment: Alignment,
 ) -> Result<ReplayEvaluation> {
-    let building = progress::progress_bar("building tables", 1);
+    let building = progress::progress_bar("building tables", 2);
     let (built, nominal) =
         rayon::join(|| build(model, ModelVariant::Fitted), || build(model, ModelVariant::Nominal));
     let (built, nominal) = (built?, nominal?.chosen);
@@ -63,6 +63,9 @@ pub fn evaluate(
     let uncompensated = UncompensatedEffect::of(&built).map(Note::Uncompensated);
     let uncompensated: Vec<Note> = uncompensated.collect();
     let DeviceModel { model: file, chosen: fitted, compensations, header, .. } = built;
+    building.inc(1);
+    let nominal = build(model, ModelVariant::Nominal)?.chosen;
+    building.finish_and_clear();
     let folders = recording_folders(campaign)?;
     let scale = file.sensor_scale;
     let mut notes = differences(&folders, &file, alignment)?;
