@@ -55,10 +55,7 @@ pub fn evaluate(
     alignment: Alignment,
 ) -> Result<ReplayEvaluation> {
     let building = progress::progress_bar("building tables", 2);
-    let (built, nominal) =
-        rayon::join(|| build(model, ModelVariant::Fitted), || build(model, ModelVariant::Nominal));
-    let (built, nominal) = (built?, nominal?.chosen);
-    building.finish_and_clear();
+    let built = build(model, ModelVariant::Fitted)?;
     let networks = network.map(|path| NetworkSet::read(path, &built)).transpose()?;
     let uncompensated = UncompensatedEffect::of(&built).map(Note::Uncompensated);
     let uncompensated: Vec<Note> = uncompensated.collect();
