@@ -74,6 +74,11 @@ pub fn column_unit(column: &str) -> Option<&'static str> {
 
 /// `value` rounded to `digits` significant digits.
 pub fn round_significant(value: f64, digits: usize) -> f64 {
+    // Counts have no more digits.
+    let limit = 10_f64.powi(i32::try_from(digits).unwrap_or(i32::MAX));
+    if value.fract() == 0.0 && value.abs() < limit {
+        return value;
+    }
     format!("{value:.*e}", digits.saturating_sub(1)).parse().unwrap_or(value)
 }
 
@@ -94,6 +99,8 @@ mod tests {
         assert_eq!(round_significant(0.1 + 0.2, 9), 0.3);
         assert_eq!(round_significant(-123_456.789, 4), -123_500.0);
         assert_eq!(round_significant(0.0, 9), 0.0);
+        assert_eq!(round_significant(123_456_789.0, 9), 123_456_789.0);
+        assert_eq!(round_significant(1_234_567_891.0, 9), 1_234_567_890.0);
         assert!(round_significant(f64::INFINITY, 9).is_infinite());
     }
 
