@@ -317,8 +317,8 @@ def train(
     shared: bool = False,
     hold_out: int | None = None,
     epochs: int | None = None,
-    patience: int = 25,
-    rate: float = 5e-3,
+    patience: int | None = None,
+    rate: float | None = None,
     zero_weight: float = 1.0,
     checkpoint: PathLike | None = None,
     progress: Callable[[str, float], Any] | None = None,
@@ -330,7 +330,7 @@ def train(
     Inputs are the field components `axes` after the device's compensation, and the model's own force `with_ideal`; outputs are the
     force, or the residual of the model's (`of_residual`); a network of two layers of `hidden` units for each sensor, or one for all
     (`shared`). The recording `hold_out` (counted from 1; default: the last) selects the epoch. ``quick``: smaller networks and fewer
-    epochs. ``checkpoint``: file in which each epoch is saved, and from which a training that was ended goes on. Ctrl-C, or an
+    epochs; other defaults are those of the command. ``checkpoint``: file in which each epoch is saved, and from which a training that was ended goes on. Ctrl-C, or an
     exception in ``progress``, ends the training after an epoch.
     """
     network = Network.new(output)

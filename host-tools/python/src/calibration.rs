@@ -1,5 +1,6 @@
 //! Import, fit, comparison, diagnosis, edit, replay, training, export and simulation, as the commands of the same names.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use std::time::Instant;
@@ -12,7 +13,9 @@ use analysis::edit_model::{edited_effects, find_effects, parse_formulas, refit};
 use analysis::fit::fit_model;
 use analysis::import::import_campaign;
 use analysis::network_training::dataset::TrainingData;
-use analysis::network_training::{TrainingResult, default_epochs, default_hidden};
+use analysis::network_training::{
+    DEFAULT_PATIENCE, DEFAULT_RATE, TrainingResult, check_settings, default_epochs, default_hidden,
+};
 use analysis::notes::{Note, check_compensated};
 use analysis::replay::bags::write_bags;
 use analysis::replay::evaluation;
@@ -250,15 +253,16 @@ fn train(
     shared: bool,
     hold_out: Option<usize>,
     epochs: Option<u32>,
-    patience: u32,
-    rate: f64,
+    patience: Option<u32>,
+    rate: Option<f64>,
     zero_weight: f64,
     checkpoint: Option<PathBuf>,
     progress: Option<Py<PyAny>>,
     delay_ms: f64,
     seed: u64,
 ) -> PyResult<Py<PyString>> {
-    let axes = axes.chars().map(|axis| "xyz".find(axis)).collect::<Option<Vec<usize>>>();
+    let axes: BTreeSet<Option<usize>> = axes.chars().map(|axis| "xyz".find(axis)).collect();
+    let axes: Option<Vec<usize>> = axes.into_iter().collect();
     let progress = Progress::new(progress);
     let result = interrupt::run(py, |stop| {
         let topology = Topology {
@@ -268,22 +272,27 @@ fn train(
             shared,
             hidden: hidden.unwrap_or_else(|| default_hidden(shared, quick)),
         };
-        let epochs = epochs.unwrap_or_else(|| default_epochs(quick));
+        let settings = TrainingSettings {
+            seed,
+            epochs: epochs.unwrap_or_else(|| default_epochs(quick)),
+            patience: patience.unwrap_or(DEFAULT_PATIENCE),
+            rate: rate.unwrap_or(DEFAULT_RATE),
+            near_zero: zero_weight,
+            force_range_n: 0.0,
+        };
+        check_settings(&settings, topology.hidden).map_err(anyhow::Error::msg)?;
         check_output(&output, TensorFileKind::Network.mark())?;
         if let Some(path) = &checkpoint {
             check_output(path, TensorFileKind::Checkpoint.mark())?;
+            if *path == output {
+                bail!("network and checkpoint need different files");
+            }
         }
         let start = Instant::now();
         let data = TrainingData::read(&model, &campaign, hold_out, alignment(delay_ms))?;
         let force_range_n = data.built.model.force_range_n();
-        let settings = TrainingSettings {
-            seed,
-            epochs,
-            patience,
-            rate,
-            near_zero: zero_weight,
-            force_range_n,
-        };
+        let settings = TrainingSettings { force_range_n, ..settings };
+        let epochs = settings.epochs;
         let mut trainer = Trainer::new(settings, topology, &data.training, &data.held_out)?;
         if let Some(path) = checkpoint.as_deref().filter(|path| path.exists()) {
             checkpoint::resume(path, &mut trainer, &data.key())?;
@@ -365,10 +374,7 @@ fn simulate(
     seed: u64,
 ) -> PyResult<Py<PyString>> {
     let result = interrupt::run(py, move |_| {
-        let design = match design {
-            Some(path) => SensorDesign::read(&path)?,
-            None => SensorDesign::magpie(),
-        };
+        let design = SensorDesign::read_or_magpie(design.as_deref())?;
         let default = CampaignSettings::of_design(&design);
         let settings = CampaignSettings {
             effects: effects.iter().map(|text| text.parse()).collect::<Result<_>>()?,

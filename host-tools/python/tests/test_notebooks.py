@@ -26,8 +26,6 @@ def test_notebook_runs(path, tmp_path, monkeypatch):
     kinds = {kind for cell in notebook.cells for output in cell.get("outputs", []) for kind in output.get("data", {})}
     assert "text/html" in kinds or path.stem == "flash_and_drive"
     assert ("image/png" in kinds) == (path.stem in WITH_PICTURES)
-    if folder := os.environ.get("NOTEBOOKS_EXECUTED"):
-        nbformat.write(notebook, Path(folder) / path.name)
 
 
 def test_every_tutorial_has_a_notebook():

@@ -191,8 +191,12 @@ def test_networks_are_those_of_the_command_also_after_an_interruption(command, t
     assert len(sigma_n) > 1000 and (sigma_n > 0).all()
     tables = magpie.export(fitted.model, tmp_path / "tables.rs", network=resumed.network)
     assert len(tables.path.read_text()) > len(magpie.export(fitted.model, tmp_path / "without.rs").path.read_text())
-    with pytest.raises(magpie.MagpieError, match="axes"):
-        magpie.train(fitted.model, ripple, axes="xw")
+    refused = {"axes": "xw", "hidden": 33, "rate": 5.0, "zero_weight": 0.0, "epochs": 0, "patience": 0}
+    for name, value in refused.items():
+        with pytest.raises(magpie.MagpieError, match=name.replace("_", "-")):
+            magpie.train(fitted.model, ripple, **{name: value})
+    with pytest.raises(magpie.MagpieError, match="different files"):
+        magpie.train(fitted.model, ripple, output=tmp_path / "one", checkpoint=tmp_path / "one")
 
 
 def test_files_with_the_estimates_are_imported_again(tmp_path, ripple, fitted):

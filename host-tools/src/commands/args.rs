@@ -1,10 +1,9 @@
 //! Arguments that several commands share.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use analysis::edit_model::parse_formulas;
 use anyhow::{Context, Result, anyhow, bail};
-use model_export::design::SensorDesign;
 use model_export::effects::EffectTerm;
 use model_export::effects::expression::ParameterRange;
 use model_export::fit::FitOptions;
@@ -111,14 +110,6 @@ impl CompareArgs {
         }
         Ok(())
     }
-}
-
-/// Reads a design file; MAGPIE's own design without a path.
-pub fn read_design(path: Option<&Path>) -> Result<SensorDesign> {
-    Ok(match path {
-        Some(path) => SensorDesign::read(path)?,
-        None => SensorDesign::magpie(),
-    })
 }
 
 /// Parses a number within an inclusive range.

@@ -1,15 +1,14 @@
 //! `magpie import`: converts measurement tables to a campaign with a mapping file.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-use analysis::import::{ImportedCampaign, import_campaign};
+use analysis::import::import_campaign;
 use anyhow::Result;
 use model_export::output::write_new;
-use model_export::recordings::guess::{self, Proposal};
-use model_export::recordings::units::round_significant;
+use model_export::recordings::guess;
 
 use crate::commands::print_notes;
-use report::text::import::{proposal_json, to_json};
+use report::text::import::{format_import, format_proposal, proposal_json, to_json};
 use report::text::terminal;
 
 /// Convert measurement tables to a campaign with a mapping file (columns, units, scale, clocks).
@@ -78,55 +77,6 @@ pub fn run(args: &Args) -> Result<()> {
     )
 }
 
-/// The recordings, and what to do next.
-fn format_import(imported: &ImportedCampaign, mapping: &Path, output: &Path) -> String {
-    let mut table = terminal::table([
-        "recording",
-        "start s",
-        "length s",
-        "sensors",
-        "board rows",
-        "reference rows",
-        "rows with force",
-    ]);
-    for (recording, converted) in imported.campaign.recordings.iter().zip(&imported.recordings) {
-        let ends = recording.time_s.first().zip(recording.time_s.last());
-        let (hall, force, measured) = converted.rows;
-        table.add_row([
-            converted.folder.display().to_string(),
-            format!("{:.1}", recording.description.start_s),
-            format!("{:.1}", ends.map_or(0.0, |(first, last)| last - first)),
-            recording.sensors.len().to_string(),
-            hall.to_string(),
-            force.to_string(),
-            measured.to_string(),
-        ]);
-    }
-    terminal::right_align(&mut table, 1);
-    let mut next = String::new();
-    let base = if imported.campaign.design().is_some() { "" } else { " --base polynomial" };
-    if !base.is_empty() {
-        next += "Without [design] in the mapping a polynomial shows errors and missing effects, but a board cannot run it; with \
-                 [design] (see --help), import again and fit without --base.\n";
-    }
-    next += &if imported.is_refused() {
-        let what = if imported.has_wrong_unit() {
-            format!("units are what {} states: correct `unit` there", mapping.display())
-        } else {
-            format!("correct what the note names in {}", mapping.display())
-        };
-        format!("Next: {what}, and import again to another folder.")
-    } else {
-        format!("Next: cargo magpie fit {output:?}{base} -o model.toml")
-    };
-    format!("{table}\n{next}\n")
-}
-
-/// End of a column's range; a dash where it is not known.
-fn range_end(value: f64) -> String {
-    if value.is_finite() { round_significant(value, 6).to_string() } else { "-".to_owned() }
-}
-
 /// Writes a proposed mapping.
 fn propose(args: &Args) -> Result<()> {
     let proposal = guess::propose(&args.guess)?;
@@ -134,39 +84,6 @@ fn propose(args: &Args) -> Result<()> {
     terminal::print_result(
         args.json,
         || proposal_json(&proposal, &args.output),
-        || format_proposal(&proposal, args),
+        || format_proposal(&proposal, &args.output, &args.guess),
     )
-}
-
-/// The columns, and what to check.
-fn format_proposal(proposal: &Proposal, args: &Args) -> String {
-    let mut table = terminal::table(["column", "unit", "minimum", "maximum", "becomes"]);
-    for column in &proposal.columns {
-        let (min, max) = column.range;
-        table.add_row([
-            column.from.clone(),
-            column.unit.to_owned(),
-            range_end(min),
-            range_end(max),
-            column.to.clone(),
-        ]);
-    }
-    for column in [2, 3] {
-        terminal::right_align(&mut table, column);
-    }
-    let mut text = format!("{table}\n");
-    if !proposal.ignored.is_empty() {
-        let names = proposal.ignored.iter().map(|(name, reason)| format!("{name} ({reason})"));
-        text += &format!("Not imported: {}.\n", names.collect::<Vec<_>>().join(", "));
-    }
-    if !proposal.checks.is_empty() {
-        text += "Please check in the file:\n";
-    }
-    for check in &proposal.checks {
-        text += &format!("  - {check}\n");
-    }
-    let paths = [&args.output].into_iter().chain(&args.guess);
-    let paths = shell_words::join(paths.map(|path| path.display().to_string()));
-    text += &format!("Written to {}.\n", args.output.display());
-    text + &format!("Next: cargo magpie import {paths} -o my-campaign\n")
 }

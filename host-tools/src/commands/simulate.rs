@@ -3,8 +3,8 @@
 use analysis::progress;
 use std::path::PathBuf;
 
-use crate::commands::args::read_design;
 use anyhow::{Result, anyhow, bail};
+use model_export::design::SensorDesign;
 use report::text::simulate::{format_report, to_json};
 use report::text::terminal;
 use sim::campaign;
@@ -140,7 +140,7 @@ fn settings(args: &Args) -> Result<CampaignSettings> {
     if !(0.0..=MAX_STRENGTH).contains(&args.strength) {
         bail!("--strength {:?} is not possible here; give 0 to {MAX_STRENGTH}", args.strength);
     }
-    let design = read_design(args.design.as_deref())?;
+    let design = SensorDesign::read_or_magpie(args.design.as_deref())?;
     let settings = CampaignSettings {
         seed: args.seed,
         programme: args.programme,

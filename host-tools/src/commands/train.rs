@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-use anyhow::{Result, bail};
+use anyhow::{Result, anyhow, bail};
 use clap::ValueEnum;
 use indicatif::HumanDuration;
 use model_export::gru::network::Target;
@@ -18,7 +18,8 @@ use crate::commands::args::AlignArgs;
 use crate::commands::{INTERRUPTED, first_interrupt, print_notes};
 use analysis::network_training::dataset::TrainingData;
 use analysis::network_training::{
-    DEFAULT_PATIENCE, DEFAULT_RATE, TrainingResult, default_epochs, default_hidden,
+    DEFAULT_PATIENCE, DEFAULT_RATE, MAX_HIDDEN, TrainingResult, check_settings, default_epochs,
+    default_hidden,
 };
 use analysis::progress;
 use report::text::terminal;
@@ -26,12 +27,6 @@ use report::text::training::{format_report, to_json};
 
 /// Trainings that may take longer than this announce it.
 const ANNOUNCED: Duration = Duration::from_secs(30);
-
-/// Learning rates: below, the weights do not change; above, the training diverges.
-const MIN_RATE: f64 = 1e-9;
-const MAX_RATE: f64 = 1.0;
-/// Maximum weight of rows without force; its inverse is the minimum.
-const MAX_ZERO_WEIGHT: f64 = 100.0;
 
 /// Arguments of `train` and `benchmark`.
 #[derive(Debug, clap::Args)]
@@ -44,7 +39,7 @@ pub struct TrainingArgs {
     #[arg(long)]
     pub quick: bool,
     /// Units of each of the two layers [default: 16, 32 with --shared, or 8 with --quick].
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=32))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=MAX_HIDDEN as i64))]
     pub hidden: Option<u16>,
     /// Held-out recording, counted from 1 in the campaign's order [default: the last].
     #[arg(long, value_name = "NUMBER")]
@@ -76,15 +71,9 @@ pub struct TrainingArgs {
 impl TrainingArgs {
     /// Checks the ranges that the parser does not check.
     pub fn check(&self) -> Result<()> {
-        if !(MIN_RATE..=MAX_RATE).contains(&self.rate) {
-            bail!("--rate {:?} is not possible here; give {MIN_RATE:e} to {MAX_RATE}", self.rate);
-        }
-        if let Some(weight) = self.zero_weight
-            && !(MAX_ZERO_WEIGHT.recip()..=MAX_ZERO_WEIGHT).contains(&weight)
-        {
-            bail!("--zero-weight {weight:?} is not possible here; give 0.01 to {MAX_ZERO_WEIGHT}");
-        }
-        Ok(())
+        // The range of the forces is known once the recordings are read.
+        check_settings(&self.settings(0.0), self.hidden(false))
+            .map_err(|error| anyhow!("--{error}"))
     }
 
     /// Units per layer.

@@ -42,8 +42,8 @@ fn gain(diagnosis: &Value) -> f64 {
     diagnosis["verdicts"][0]["gain"].as_f64().unwrap()
 }
 
-/// The drift with temperature hides the curvature of the field: chosen on the field as recorded the degree would be 2, and what it
-/// lacks would look like formulas.
+/// The drift with temperature hides the curvature of the field: chosen on the field as recorded the degree would be 2, and the terms
+/// that are missing would look like formulas.
 #[test]
 fn degree_of_a_polynomial_is_that_without_the_temperature() {
     let dir = WorkDir::empty();

@@ -6,7 +6,7 @@ use anyhow::Result;
 use model_export::gru::file::NetworkFile;
 use model_export::gru::train::dataset::Sequence;
 use model_export::gru::train::forward::Prediction;
-use model_export::gru::train::trainer::{BestEpoch, Trainer};
+use model_export::gru::train::trainer::{BestEpoch, Trainer, TrainingSettings};
 
 use crate::network_calibration::NetworkCalibration;
 use crate::network_training::dataset::TrainingData;
@@ -18,6 +18,31 @@ pub mod dataset;
 pub const DEFAULT_PATIENCE: u32 = 25;
 /// Default initial learning rate.
 pub const DEFAULT_RATE: f64 = 5e-3;
+
+/// Learning rates: below, the weights do not change; above, the training diverges.
+const MIN_RATE: f64 = 1e-9;
+const MAX_RATE: f64 = 1.0;
+/// Maximum weight of rows without force; its inverse is the minimum.
+const MAX_ZERO_WEIGHT: f64 = 100.0;
+/// Maximum number of units of a layer that the device computes.
+pub const MAX_HIDDEN: usize = 32;
+
+/// Checks what a user sets.
+///
+/// # Errors
+/// The name of a setting, its value, and what is possible.
+pub fn check_settings(settings: &TrainingSettings, hidden: usize) -> Result<(), String> {
+    let check = |name: &str, value: f64, from: f64, to: f64| {
+        let refusal = || format!("{name} {value:?} is not possible here; give {from} to {to}");
+        (from..=to).contains(&value).then_some(()).ok_or_else(refusal)
+    };
+    let TrainingSettings { epochs, patience, rate, near_zero, .. } = settings;
+    check("rate", *rate, MIN_RATE, MAX_RATE)?;
+    check("zero-weight", *near_zero, MAX_ZERO_WEIGHT.recip(), MAX_ZERO_WEIGHT)?;
+    check("hidden", hidden as f64, 1.0, MAX_HIDDEN as f64)?;
+    check("epochs", f64::from(*epochs), 1.0, f64::from(u32::MAX))?;
+    check("patience", f64::from(*patience), 1.0, f64::from(u32::MAX))
+}
 
 /// Default units of each layer: with three inputs and 16 units the device computes a network within the time that the paper
 /// states for a computer.

@@ -8,11 +8,11 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use model_export::design::DesignEvaluation;
+use model_export::design::SensorDesign;
 use model_export::design::interference::{DRAWS, InterferenceSources};
 use model_export::design::paper::{MATERIALS, PaperResults};
 use model_export::design::sweep::{self, DEFAULT_COUNT};
 
-use crate::commands::args::read_design;
 use report::html::design as pages;
 use report::text::design as summary;
 use report::text::design_search::{format_paper, paper_json};
@@ -94,7 +94,7 @@ struct CheckArgs {
 
 /// Runs the command.
 fn check(args: &CheckArgs) -> Result<()> {
-    let design = read_design(args.design.as_deref())?;
+    let design = SensorDesign::read_or_magpie(args.design.as_deref())?;
     let evaluation = DesignEvaluation::of(&design);
     let interference = InterferenceSources::assumed(args.seed, DRAWS);
     let shifts = sweep::shifts(&design, design.force_range_n, &interference);

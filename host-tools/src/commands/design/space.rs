@@ -11,8 +11,6 @@ use model_export::design::sampling::SamplingMethod;
 use model_export::design::sweep::{DEFAULT_COUNT, DesignSpace, SIZES};
 use model_export::input::plausible_range;
 
-use crate::commands::args::read_design;
-
 /// The design space, its sampling and the constraints.
 #[derive(Debug, clap::Args)]
 pub struct SpaceArgs {
@@ -59,7 +57,7 @@ pub struct Size {
 impl SpaceArgs {
     /// The fixed properties of the designs.
     pub fn base(&self) -> Result<SensorDesign> {
-        let mut base = read_design(self.base.as_deref())?;
+        let mut base = SensorDesign::read_or_magpie(self.base.as_deref())?;
         let options = [
             ("--stroke", "stroke_mm", self.stroke),
             ("--life", "life_cycles", self.life),

@@ -14,6 +14,7 @@ use firmware::config::constants;
 use firmware::parameters::schema::id;
 use firmware::protocol::serial::Packet;
 use indicatif::ProgressBar;
+use model_export::design::SensorDesign;
 use model_export::fit::FitOptions;
 use model_export::input::MAX_START_S;
 use model_export::output::check_vacant;
@@ -26,7 +27,6 @@ use model_export::recordings::{Campaign, Recording};
 mod guide;
 mod summary;
 
-use crate::commands::args::read_design;
 use crate::commands::connection::{
     GripperArgs, Reference, ReferenceArgs, interrupted, parse_seconds,
 };
@@ -313,7 +313,7 @@ fn description(args: &Args) -> Result<RecordingDescription> {
     };
     let mut description = RecordingDescription::new(args.note.clone(), start_s);
     description.recorded = Some(humantime::format_rfc3339_seconds(now).to_string());
-    let design = read_design(args.design.as_deref())?;
+    let design = SensorDesign::read_or_magpie(args.design.as_deref())?;
     // The sensor of the board, not of the design.
     description.gauss_per_lsb = Some(constants::SENSOR_SCALE.value);
     description.range_gauss = Some(constants::SENSOR_RANGE.value);

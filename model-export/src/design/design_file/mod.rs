@@ -274,6 +274,14 @@ impl SensorDesign {
         Ok(design)
     }
 
+    /// The design at `path`, or MAGPIE's without one.
+    ///
+    /// # Errors
+    /// As of [`SensorDesign::read`].
+    pub fn read_or_magpie(path: Option<&Path>) -> Result<Self, DataError> {
+        path.map_or_else(|| Ok(Self::magpie()), Self::read)
+    }
+
     /// Writes the design; see [`write_output`].
     pub fn write(&self, path: &Path) -> Result<(), DataError> {
         let text = toml::to_string(self)

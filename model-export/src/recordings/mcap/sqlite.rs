@@ -1,7 +1,7 @@
 //! Bags of ROS 2 in SQLite (`.db3`, the default until ROS 2 Humble), read as channels and messages of MCAP.
 
 use std::borrow::Cow;
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -10,8 +10,9 @@ use rusqlite::{Connection, OpenFlags, OptionalExtension as _, params};
 
 use crate::recordings::error::{DataError, ErrorKind, Location};
 
-/// Messages that are read at a time.
+/// Messages that are read at a time, and the bytes of them from which on no more are: a bag may hold images, too.
 const PAGE: i64 = 1000;
+const PAGE_BYTES: usize = 16 << 20;
 
 /// Message types that bags of ROS 2 Humble and before use without stating their definition. From the interface packages
 /// `builtin_interfaces`, `std_msgs`, `geometry_msgs` and `sensor_msgs`.
@@ -102,19 +103,23 @@ impl<'a> SqliteMessages<'a> {
             "SELECT id, topic_id, timestamp, data FROM messages WHERE id > ?1 ORDER BY id LIMIT ?2",
         )?;
         let mut rows = query.query(params![self.last_id, PAGE])?;
-        let mut page = Vec::new();
+        let (mut page, mut bytes) = (Vec::new(), 0);
         self.is_ended = true;
-        while let Some(row) = rows.next()? {
+        while bytes < PAGE_BYTES
+            && let Some(row) = rows.next()?
+        {
             self.last_id = row.get(0)?;
             self.is_ended = false;
             let time = u64::try_from(row.get::<_, i64>(2)?).unwrap_or(0);
+            let data: Vec<u8> = row.get(3)?;
+            bytes += data.len();
             if let Some(channel) = self.channels.get(&row.get(1)?) {
                 page.push(Message {
                     channel: channel.clone(),
                     sequence: 0,
                     log_time: time,
                     publish_time: time,
-                    data: Cow::Owned(row.get(3)?),
+                    data: Cow::Owned(data),
                 });
             }
         }
@@ -174,7 +179,7 @@ fn channels(database: &Connection) -> rusqlite::Result<HashMap<i64, Arc<Channel<
             let data = Cow::Owned(text.into_bytes());
             Arc::new(Schema { id: number, name: kind, encoding, data })
         });
-        let metadata = std::collections::BTreeMap::new();
+        let metadata = BTreeMap::new();
         let channel = Channel { id: number, topic, schema, message_encoding, metadata };
         channels.insert(id, Arc::new(channel));
     }
