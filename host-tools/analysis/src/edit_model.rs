@@ -80,12 +80,13 @@ pub fn refit(
         if let Some(MissingForces::NotCompensable(why)) = missing {
             notes.push(Note::NotCompensable(why.clone()));
         }
+        let written = ModelFile::with_effects(&campaign, &prepared, &new, &after, provenance);
         let force = ForceError::of(&before_n.errors).zip(ForceError::of(&after_n.errors));
         Ok(ModelEdit {
             force: force.map(|(before, after)| [before, after]),
             uncompensated: after_n.uncompensated,
             sizes: effect_sizes(&new, &after, campaign.recordings.len()),
-            model: ModelFile::with_effects(&campaign, &prepared, &new, &after, provenance),
+            model: ModelFile { inverse: after_n.shape, ..written },
             before: (before, old),
             after: (after, new),
             campaign,

@@ -66,7 +66,7 @@ pub fn fit_model(
         let provenance = Provenance::of(&campaign, alignment.delay_us, options)?;
         let sources = provenance.recordings.iter();
         check_distinct(&provenance.campaign, sources.map(|r| (&*r.name, &*r.sha256)))?;
-        let model = ModelFile::of(&campaign, &fits, provenance);
+        let mut model = ModelFile::of(&campaign, &fits, provenance);
         let force = match &fits {
             CampaignFits::Polynomial(_) => None,
             CampaignFits::Cylinder(_, fit) => {
@@ -74,6 +74,7 @@ pub fn fit_model(
                 let setup = FitSetup::cylinder(&campaign)?;
                 let forces = held_out_forces(&campaign, &setup, &[(fit, &[])], alignment, options)?;
                 bar.finish_and_clear();
+                model.inverse = forces.first().and_then(|forces| forces.shape);
                 forces.first().and_then(|forces| ForceError::of(&forces.errors))
             }
         };

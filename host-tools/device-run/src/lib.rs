@@ -41,8 +41,8 @@ pub struct ReplayModels<'a> {
     pub compensations: &'a [OwnedCompensation],
     /// Nominal design of the gripper, which scales the covariates.
     pub design: Option<&'a NominalDesign>,
-    /// Floating-point models, in the order of the tables.
-    pub float: &'a [Grbf],
+    /// Floating-point models, in the order of the tables, where the error of fixed point is wanted.
+    pub float: Option<&'a [Grbf]>,
     /// Field per count, in gauss.
     pub gauss_per_lsb: f64,
     /// Recurrent networks on top of the tables.
@@ -50,14 +50,14 @@ pub struct ReplayModels<'a> {
 }
 
 impl<'a> ReplayModels<'a> {
-    /// Everything built from a model, without networks.
+    /// Everything built from a model, without networks and floating point.
     pub fn of(built: &'a DeviceModel) -> Self {
         Self {
             numbers: &built.header.sensors,
             tables: &built.chosen.tables,
             compensations: &built.compensations,
             design: built.model.design.as_ref(),
-            float: &built.chosen.models,
+            float: None,
             gauss_per_lsb: built.model.sensor_scale.gauss_per_lsb,
             networks: None,
         }

@@ -7,7 +7,6 @@ use sha2::{Digest, Sha256};
 use crate::effects::{DeviceForm, Effect, EffectTerm};
 use crate::input;
 use crate::inverse::compensation::{NotCompensable, OwnedCompensation, board_conditions};
-use crate::inverse::grbf::GrbfShape;
 use crate::inverse::model_selection::{SelectedModels, select_models};
 use crate::inverse::quantise::TableOverflow;
 use crate::inverse::static_model::StaticModel;
@@ -79,17 +78,16 @@ pub struct DeviceModel {
 pub fn build(path: &Path, variant: ModelVariant) -> Result<DeviceModel, BuildError> {
     let model = ModelFile::read(path)?;
     let bytes = input::read_bytes(path, input::MAX_DOCUMENT_BYTES)?;
-    build_model(model, path, &bytes, variant, None)
+    build_model(model, path, &bytes, variant)
 }
 
 /// Builds the tables of a model in memory; `place` is its path for messages, `bytes` its content for the hash.
-/// The shape of the inverse is selected unless one is given that the device can represent.
+/// The shape of the inverse is selected unless the model has one that the device can represent.
 pub fn build_model(
     model: ModelFile,
     place: &Path,
     bytes: &[u8],
     variant: ModelVariant,
-    shape: Option<GrbfShape>,
 ) -> Result<DeviceModel, BuildError> {
     let recordings = model.provenance.recordings.len();
     let additions = match variant {
@@ -124,6 +122,8 @@ pub fn build_model(
         ModelVariant::Fitted => id,
         ModelVariant::Nominal => !id,
     };
+    // The shape of the file is that of the fitted parameters.
+    let shape = model.inverse.filter(|_| variant == ModelVariant::Fitted);
     let mut chosen =
         select_models(&static_models, &numbers, id, scale.gauss_per_lsb, scale.range_gauss, shape)
             .map_err(|overflow| BuildError::TableOverflow {

@@ -16,8 +16,12 @@ use wide::f64x4;
 /// Functions that are evaluated together.
 const LANES: usize = 4;
 
+/// Maximum number of centres along each axis.
+pub const MAX_CENTRES_ACROSS: usize = 8;
+
 /// Hyperparameters of a model.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct GrbfShape {
     /// Centres are the fields of a lattice of this many loads along each axis; none: linear.
     pub centres_across: usize,
@@ -120,22 +124,61 @@ impl Grbf {
         })
     }
 
-    /// Forces in newtons at a field in gauss; four functions at a time, to within their rounding.
+    /// The same model with its functions in groups that are evaluated together.
+    pub fn lanes(&self) -> GrbfLanes {
+        let group = |(centres, weights): (&[Vector3<f64>], &[[f64; 2]])| {
+            // Lanes without a centre have no weight.
+            let mut group = LaneGroup::default();
+            for (lane, (centre, weight)) in centres.iter().zip(weights).enumerate() {
+                for axis in 0..3 {
+                    group.centres[axis].as_mut_array()[lane] = centre[axis];
+                }
+                for axis in 0..2 {
+                    group.weights_n[axis].as_mut_array()[lane] = weight[axis];
+                }
+            }
+            group
+        };
+        let groups = self.centres.chunks(LANES).zip(self.weights_n.chunks(LANES));
+        GrbfLanes {
+            design: self.design,
+            gamma: self.gamma,
+            groups: groups.map(group).collect(),
+            bias_n: self.bias_n,
+            slope_n: self.slope_n,
+        }
+    }
+}
+
+/// Centres and weights of functions that are evaluated together.
+#[derive(Clone, Copy, Debug, Default)]
+struct LaneGroup {
+    centres: [f64x4; 3],
+    weights_n: [f64x4; 2],
+}
+
+/// A [`Grbf`] for evaluation, four functions at a time.
+#[derive(Clone, Debug)]
+pub struct GrbfLanes {
+    design: DesignBox,
+    gamma: f64,
+    groups: Vec<LaneGroup>,
+    bias_n: [f64; 2],
+    slope_n: [Vector3<f64>; 2],
+}
+
+impl GrbfLanes {
+    /// Forces in newtons at a field in gauss.
     pub fn force(&self, field_g: &Vector3<f64>) -> [f64; 2] {
         let s = self.design.coordinates(field_g);
+        let at = [s.x, s.y, s.z].map(f64x4::splat);
+        let factor = f64x4::splat(-self.gamma);
         let mut sums = [f64x4::ZERO; 2];
-        for (centres, weights) in self.centres.chunks(LANES).zip(self.weights_n.chunks(LANES)) {
-            // Lanes without a centre have no weight.
-            let mut squared = [0.0; LANES];
-            let mut of_axis = [[0.0; LANES]; 2];
-            for (lane, (centre, weight)) in centres.iter().zip(weights).enumerate() {
-                squared[lane] = (s - centre).norm_squared();
-                (of_axis[0][lane], of_axis[1][lane]) = (weight[0], weight[1]);
-            }
-            let values = (f64x4::from(squared) * f64x4::splat(-self.gamma)).exp();
-            for (sum, weights) in sums.iter_mut().zip(of_axis) {
-                *sum += values * f64x4::from(weights);
-            }
+        for group in &self.groups {
+            let [x, y, z] = [0, 1, 2].map(|axis| at[axis] - group.centres[axis]);
+            let values = ((x * x + y * y + z * z) * factor).exp();
+            sums[0] += values * group.weights_n[0];
+            sums[1] += values * group.weights_n[1];
         }
         [0, 1].map(|axis| self.bias_n[axis] + self.slope_n[axis].dot(&s) + sums[axis].reduce_add())
     }

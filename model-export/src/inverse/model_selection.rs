@@ -3,12 +3,15 @@
 //! All sensors have the same hyperparameters, since they share the exponential table and the computing time.
 //! Models that the device cannot represent are no candidates.
 
+use std::ops::RangeInclusive;
+
 use firmware::config::constants;
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use crate::inverse::grbf::{
-    FieldSample, Grbf, GrbfShape, force_errors, held_out_samples, training_samples,
+    FieldSample, Grbf, GrbfShape, MAX_CENTRES_ACROSS, force_errors, held_out_samples,
+    training_samples,
 };
 use crate::inverse::parity::ParitySurface;
 use crate::inverse::quantise::{TableOverflow, TableSet, representable};
@@ -28,7 +31,7 @@ const TARGET_ERROR: f64 = 1.0 / 3.0;
 const MAX_ROUNDING: f64 = 0.07;
 
 /// Candidate numbers of centres along each axis, ascending.
-const CENTRES_ACROSS: [usize; 5] = [4, 5, 6, 7, 8];
+const CENTRES_ACROSS: RangeInclusive<usize> = 4..=MAX_CENTRES_ACROSS;
 /// Candidate widths in spacings of the centres.
 const WIDTHS: [f64; 5] = [1.0, 1.4, 2.0, 2.8, 4.0];
 /// Candidate ridge penalties.
@@ -80,7 +83,10 @@ struct InverseProblem<'a> {
     id: u16,
     gauss_per_lsb: f64,
     range_gauss: f64,
+    /// Sensors that differ: those of a nominal design do not.
     sensors: Vec<SensorData<'a>>,
+    /// For each sensor its place among these.
+    places: Vec<usize>,
 }
 
 /// Fits the inverse models of all sensors with common hyperparameters: `shape`, or the selected ones where none is given or the
@@ -96,14 +102,24 @@ pub fn select_models(
     range_gauss: f64,
     shape: Option<GrbfShape>,
 ) -> Result<SelectedModels, TableOverflow> {
-    let sensors: Vec<SensorData> = models
-        .par_iter()
+    let mut distinct: Vec<&StaticModel> = Vec::new();
+    let place = |model| {
+        let known = distinct.iter().position(|other| model == *other);
+        known.unwrap_or_else(|| {
+            distinct.push(model);
+            distinct.len() - 1
+        })
+    };
+    let places = models.iter().map(place).collect();
+    let sensors: Vec<SensorData> = distinct
+        .into_par_iter()
         .map(|model| {
             let (_, design) = DesignBox::of(model).device_scale(gauss_per_lsb);
             SensorData { model, design, training: training_samples(model, &design) }
         })
         .collect();
-    let problem = InverseProblem { models, numbers, id, gauss_per_lsb, range_gauss, sensors };
+    let problem =
+        InverseProblem { models, numbers, id, gauss_per_lsb, range_gauss, sensors, places };
     let is_representable = |shape: &GrbfShape| {
         problem.fit(*shape).is_some_and(|models| problem.tables(&models).is_ok())
     };
@@ -119,11 +135,13 @@ pub fn select_models(
     };
     Ok(SelectedModels {
         shape,
-        surfaces: problem
-            .sensors
-            .par_iter()
-            .map(|sensor| ParitySurface::of(sensor.model, &sensor.design))
-            .collect(),
+        surfaces: problem.of_each(
+            problem
+                .sensors
+                .par_iter()
+                .map(|sensor| ParitySurface::of(sensor.model, &sensor.design))
+                .collect(),
+        ),
         forward: models.to_vec(),
         tables: problem.tables(&chosen)?,
         models: chosen,
@@ -135,7 +153,12 @@ pub fn select_models(
 impl InverseProblem<'_> {
     fn fit(&self, shape: GrbfShape) -> Option<Vec<Grbf>> {
         let fit = |s: &SensorData| Grbf::fit(s.model, &s.design, shape, &s.training, representable);
-        self.sensors.iter().map(fit).collect()
+        Some(self.of_each(self.sensors.iter().map(fit).collect::<Option<_>>()?))
+    }
+
+    /// What belongs to each sensor, from what belongs to those that differ.
+    fn of_each<T: Clone>(&self, distinct: Vec<T>) -> Vec<T> {
+        self.places.iter().map(|place| distinct[*place].clone()).collect()
     }
 
     fn tables(&self, models: &[Grbf]) -> Result<TableSet, TableOverflow> {
@@ -154,7 +177,9 @@ impl InverseProblem<'_> {
         let evaluate = |models: &[Grbf]| -> Option<f64> {
             let tables = self.tables(models).ok()?;
             let mut worst = 0.0_f64;
-            for (i, (validation, model)) in validation.iter().zip(models).enumerate() {
+            for (place, validation) in validation.iter().enumerate() {
+                let Some(i) = self.places.iter().position(|of| *of == place) else { continue };
+                let model = &models[i];
                 let fixed = |field: &_| tables.force(i, field, self.gauss_per_lsb);
                 let float = float_samples(model, &validation[..SAMPLES / 5]);
                 let (rounding, _) = force_errors(&float, fixed);
@@ -174,6 +199,7 @@ impl InverseProblem<'_> {
             let candidate = |(i, ridge): (usize, &f64)| {
                 let models: Vec<Grbf> =
                     fitted.iter().map(|of| of[i].clone()).collect::<Option<_>>()?;
+                let models = self.of_each(models);
                 let shape = GrbfShape { ridge: *ridge, ..shape };
                 Some((shape, evaluate(&models)?))
             };
@@ -205,10 +231,11 @@ impl SelectedModels {
         let of_sensor = |(i, forward): (usize, &StaticModel)| {
             let samples = held_out_samples(forward, &self.models[i].design, SAMPLES, TEST_SEED);
             let float = float_samples(&self.models[i], &samples);
+            let [model, linear] = [&self.models[i], &self.linear[i]].map(Grbf::lanes);
             InverseErrors {
-                model: force_errors(&samples, |field| self.models[i].force(field)),
+                model: force_errors(&samples, |field| model.force(field)),
                 fixed: force_errors(&float, |field| self.tables.force(i, field, gauss_per_lsb)),
-                linear: force_errors(&samples, |field| self.linear[i].force(field)),
+                linear: force_errors(&samples, |field| linear.force(field)),
             }
         };
         self.forward.par_iter().enumerate().map(of_sensor).collect()
@@ -228,6 +255,7 @@ fn noise_n(models: &[StaticModel]) -> f64 {
 
 /// The same fields with the forces of the floating point model.
 fn float_samples(model: &Grbf, samples: &[FieldSample]) -> Vec<FieldSample> {
+    let model = model.lanes();
     let force =
         |sample: &FieldSample| FieldSample { force_n: model.force(&sample.field_g), ..*sample };
     samples.iter().map(force).collect()

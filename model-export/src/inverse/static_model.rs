@@ -14,7 +14,7 @@ const SETTLED: f64 = 1e9;
 const STEP: f64 = 0.002;
 
 /// Static forward model of one sensor.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct StaticModel {
     /// Magnet, flexures, sensor.
     pub model: ForwardModel,

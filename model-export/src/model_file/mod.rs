@@ -16,6 +16,7 @@ use crate::input::{
     self, MAX_EFFECTS, MAX_MAGNITUDE, MAX_SENSORS, check_plausible, plausible_range,
 };
 use crate::inverse::codegen;
+use crate::inverse::grbf::{GrbfShape, MAX_CENTRES_ACROSS};
 use crate::output::write_output;
 use crate::physics::ForwardModel;
 use crate::recordings::description::{NominalDesign, parse_toml};
@@ -54,6 +55,9 @@ pub struct ModelFile {
     /// Nominal design; absent with the polynomial base.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub design: Option<NominalDesign>,
+    /// Shape of the inverse with which the held-out force error was evaluated; selected anew for the tables where it is absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub inverse: Option<GrbfShape>,
     /// One entry for each sensor.
     #[serde(rename = "sensor")]
     pub sensors: Vec<SensorModel>,
@@ -97,6 +101,7 @@ impl ModelFile {
             provenance,
             sensor_scale: SensorScale::of(campaign),
             design,
+            inverse: None,
             sensors,
             effects: Vec::new(),
         }
@@ -120,6 +125,7 @@ impl ModelFile {
             provenance,
             sensor_scale: SensorScale::of(campaign),
             design: prepared.design.clone(),
+            inverse: None,
             sensors: fit.sensors.iter().enumerate().map(sensor).collect(),
             effects: EffectModel::all_of(fit, effects, campaign.recordings.len()),
         }
@@ -232,6 +238,19 @@ impl ModelFile {
             {
                 let key = format!("{name} of {}", effect.name);
                 return bad(key, format!("{value:?}"), "correct it, or add the effect again");
+            }
+        }
+        if let Some(shape) = self.inverse {
+            let advice = "remove the table [inverse]: it is then selected again";
+            let positive = [("inverse.gamma", shape.gamma), ("inverse.ridge", shape.ridge)];
+            for (key, value) in positive {
+                if !(1e-12..=1e6).contains(&value) {
+                    return bad(key.to_owned(), format!("{value:?}"), advice);
+                }
+            }
+            if !(2..=MAX_CENTRES_ACROSS).contains(&shape.centres_across) {
+                let found = shape.centres_across.to_string();
+                return bad("inverse.centres_across".to_owned(), found, advice);
             }
         }
         let mut numbers = BTreeSet::new();

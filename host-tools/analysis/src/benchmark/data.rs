@@ -217,7 +217,7 @@ pub fn refit(data: &BenchmarkData, seconds: f64) -> Result<FittedPhysics> {
 
 fn built(model: ModelFile, inverted: Inverted) -> Result<DeviceModel> {
     let bytes = toml::to_string(&model)?;
-    Ok(build_model(model, Path::new(MODEL_NAME), bytes.as_bytes(), inverted, None)?)
+    Ok(build_model(model, Path::new(MODEL_NAME), bytes.as_bytes(), inverted)?)
 }
 
 /// The first `seconds` of the training recordings.

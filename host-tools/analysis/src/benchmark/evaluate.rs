@@ -77,7 +77,8 @@ pub fn evaluate(
     networks: Option<&NetworkSet>,
 ) -> Result<VariantResult> {
     let stream = RawStream::open_folder(&data.held_out, data.alignment)?;
-    let models = ReplayModels { networks, ..ReplayModels::of(built) };
+    let float = Some(built.chosen.models.as_slice());
+    let models = ReplayModels { networks, float, ..ReplayModels::of(built) };
     let (mut errors_n, mut samples) = ([Vec::new(), Vec::new()], Vec::new());
     let (mut first_s, mut count) = (None, 0_usize);
     let collect = |sample: ForceSample| {

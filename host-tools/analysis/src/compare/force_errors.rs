@@ -15,7 +15,7 @@ use model_export::fit::campaign::FitSetup;
 use model_export::fit::joint::JointFit;
 use model_export::inverse::build::{BuildError, DeviceModel, ModelVariant, build_model};
 use model_export::inverse::grbf::GrbfShape;
-use model_export::model_file::Provenance;
+use model_export::model_file::{ModelFile, Provenance};
 use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
 use model_export::recordings::columns::Axis;
@@ -46,6 +46,8 @@ pub struct ForceEvaluation {
     pub none: Option<MissingForces>,
     /// Effects that the device does not compensate.
     pub uncompensated: Vec<UncompensatedEffect>,
+    /// Shape of the inverse of all folds.
+    pub shape: Option<GrbfShape>,
 }
 
 /// Held-out errors of the forces of fits to a whole campaign, each with its effects, and what the device does
@@ -163,7 +165,10 @@ fn evaluate_plans(
         Ok(built) => {
             let any = built.iter().flatten().next();
             let uncompensated = any.map_or_else(Vec::new, |b| UncompensatedEffect::of(b).collect());
-            let mut result = ForceEvaluation { uncompensated, ..finish(channels) };
+            // Without centres no shape was representable.
+            let shape = any.map(|built| built.chosen.shape);
+            let shape = shape.filter(|shape| shape.centres_across > 0);
+            let mut result = ForceEvaluation { uncompensated, shape, ..finish(channels) };
             if result.errors.is_empty() {
                 result.none = Some(MissingForces::NoValidRow);
             }
@@ -209,8 +214,8 @@ fn build_tables(plan: &CvPlan, path: &Path) -> Result<FoldTables> {
     let build = |model: usize, shape: Option<GrbfShape>| -> Result<DeviceModel> {
         let model = &plan.models[model].model;
         let bytes = toml::to_string(model)?;
-        let variant = ModelVariant::Fitted;
-        Ok(build_model(model.clone(), path, bytes.as_bytes(), variant, shape)?)
+        let model = ModelFile { inverse: shape, ..model.clone() };
+        Ok(build_model(model, path, bytes.as_bytes(), ModelVariant::Fitted)?)
     };
     let used: Vec<usize> = (0..plan.models.len()).filter(is_used).collect();
     let Some((&first, others)) = used.split_first() else {

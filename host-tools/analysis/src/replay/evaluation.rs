@@ -83,16 +83,17 @@ pub fn evaluate(
         gauss_per_lsb: scale.gauss_per_lsb,
         networks,
     };
+    let float = Some(fitted.models.as_slice());
     let mut models = vec![
-        variant(&fitted.tables, &fitted.models, &compensations, networks.as_ref()),
-        variant(&linear, &fitted.linear, &[], None),
-        variant(&nominal.tables, &nominal.models, &[], None),
+        variant(&fitted.tables, float, &compensations, networks.as_ref()),
+        variant(&linear, None, &[], None),
+        variant(&nominal.tables, None, &[], None),
     ];
     if !header.effects.is_empty() {
-        models.push(variant(&fitted.tables, &fitted.models, &[], None));
+        models.push(variant(&fitted.tables, None, &[], None));
     }
     if networks.is_some() {
-        models.push(variant(&fitted.tables, &fitted.models, &compensations, None));
+        models.push(variant(&fitted.tables, None, &compensations, None));
     }
     let mut replayed = replay_all(&folders, &models, alignment)?.into_iter();
     let mut next = || replayed.next().unwrap_or_default();

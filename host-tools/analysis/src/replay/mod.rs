@@ -13,6 +13,7 @@ use firmware::fixed_point::{Field, Force};
 use firmware::model::formats::Tables;
 use firmware::sensors::hall::HallFrame;
 use model_export::inverse::compensation::OwnedCompensation;
+use model_export::inverse::grbf::{Grbf, GrbfLanes};
 use model_export::recordings::DataError;
 use model_export::recordings::description::NominalDesign;
 use model_export::recordings::noise::WhiteNoise;
@@ -37,7 +38,7 @@ const INTERPOLATED_NOISE: f64 = 0.816_496_580_927_726;
 pub struct AxisReplay {
     /// Device minus reference.
     pub error: Moments,
-    /// Floating point minus reference.
+    /// Floating point minus reference; no rows where it was not evaluated.
     pub float: Moments,
     /// Device minus floating point.
     pub fixed_minus_float: Moments,
@@ -284,7 +285,8 @@ impl<'a> ModelReplay<'a> {
         let mut network_valid = self.network_valid.iter().copied();
         let networks = estimator.networks();
         for (at, (row, estimates)) in rows.iter().zip(estimates).enumerate() {
-            let floats = networks.as_mut().map(|networks| networks.float(at));
+            let has_float = self.evaluation.float.is_some();
+            let floats = networks.as_mut().filter(|_| has_float).map(|networks| networks.float(at));
             for (i, (channels, estimate)) in sensors.iter().zip(estimates).enumerate() {
                 let number = channels.number as usize;
                 let network_valid = network_valid.next().unwrap_or(true);
@@ -322,6 +324,7 @@ impl<'a> ModelReplay<'a> {
 /// Running statistics of a replay.
 struct Evaluation<'a> {
     models: ReplayModels<'a>,
+    float: Option<Vec<GrbfLanes>>,
     result: RecordingReplay,
     noises: Vec<[WhiteNoise; 2]>,
     /// Of the device, of floating point.
@@ -342,6 +345,7 @@ impl<'a> Evaluation<'a> {
         };
         Self {
             models,
+            float: models.float.map(|models| models.iter().map(Grbf::lanes).collect()),
             result: RecordingReplay {
                 name: name.to_owned(),
                 sensors: sensors.iter().map(sensor).collect(),
@@ -370,18 +374,23 @@ impl<'a> Evaluation<'a> {
         let found = estimate.force.map(Force::newtons);
         let counts = estimate.field.map(Field::counts);
         let field_g = Vector3::from(counts) * self.models.gauss_per_lsb;
-        let shown = self.models.float[channels.table].force(&field_g);
-        let mut floats_n = [0.0; 2];
+        let float = self.float.as_ref().map(|models| models[channels.table].force(&field_g));
+        let float = float.map(|ideal_n| {
+            [0, 1].map(|axis| {
+                // Compensations of the forces exist in integer arithmetic alone.
+                let compensation =
+                    ideal.force[axis].newtons() - estimate.uncompensated[axis].newtons();
+                FloatForce::over(network, axis, ideal_n[axis] + compensation)
+            })
+        });
         for axis in 0..2 {
-            // Compensations of the forces exist in integer arithmetic alone.
-            let compensation = ideal.force[axis].newtons() - estimate.uncompensated[axis].newtons();
-            let float = FloatForce::over(network, axis, shown[axis] + compensation);
-            floats_n[axis] = float;
             self.noises[i][axis].push(found[axis]);
             let replay = &mut self.result.sensors[i].axes[axis];
             replay.error.add(found[axis] - reference[axis]);
-            replay.float.add(float - reference[axis]);
-            replay.fixed_minus_float.add(found[axis] - float);
+            if let Some(float) = float {
+                replay.float.add(float[axis] - reference[axis]);
+                replay.fixed_minus_float.add(found[axis] - float[axis]);
+            }
             if let Some(sigma) = estimate.sigma {
                 let prediction = PredictedError {
                     time_s: row.time_s,
@@ -393,8 +402,10 @@ impl<'a> Evaluation<'a> {
             }
         }
         let sigma_n = estimate.sigma.map(|sigma| sigma.map(Force::newtons));
-        for (tare, estimate_n) in self.tares[i].iter_mut().zip([found, floats_n]) {
-            tare.add(row.time_s, reference, estimate_n, sigma_n);
+        let [tare, float_tare] = &mut self.tares[i];
+        tare.add(row.time_s, reference, found, sigma_n);
+        if let Some(float) = float {
+            float_tare.add(row.time_s, reference, float, sigma_n);
         }
         Some(ForceSample {
             sensor: i,

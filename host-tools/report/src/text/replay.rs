@@ -245,14 +245,19 @@ pub fn to_json(evaluation: &ReplayEvaluation) -> Value {
 
 fn sensor_json(pooled: &PooledAxis) -> Value {
     let error = pooled.sum(|track| track.error);
-    json!({
+    let mut axis = json!({
         "sensor": pooled.sensor, "axis": FORCES[pooled.axis].1,
         "rmse_n": error.rms(), "mean_n": error.mean(), "std_n": error.std(),
         "tared_rmse_n": pooled.tared().map(|sums| sums.rms()),
-        "float_rmse_n": pooled.sum(|track| track.float).rms(),
         "noise_n": pooled.noise_n(),
-        "fixed_minus_float_rms_n": pooled.sum(|track| track.fixed_minus_float).rms(),
-    })
+    });
+    let float = pooled.sum(|track| track.float);
+    if float.rows() > 0.0 {
+        axis["float_rmse_n"] = json!(float.rms());
+        let rounding = pooled.sum(|track| track.fixed_minus_float);
+        axis["fixed_minus_float_rms_n"] = json!(rounding.rms());
+    }
+    axis
 }
 
 fn coverage_line(recordings: &[RecordingReplay]) -> String {

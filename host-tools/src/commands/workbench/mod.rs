@@ -389,7 +389,7 @@ async fn write(State(server): State<Server>, Json(request): Json<WriteRequest>) 
 fn tables(model: &ModelFile) -> Result<DeviceModel> {
     let place = Path::new("model.toml");
     let file = model.to_toml(place)?;
-    Ok(build_model(model.clone(), place, file.as_bytes(), ModelVariant::Fitted, None)?)
+    Ok(build_model(model.clone(), place, file.as_bytes(), ModelVariant::Fitted)?)
 }
 
 /// When the board compensates the effects of a model, in sentences.
