@@ -7,7 +7,7 @@ use firmware::estimator::{self, Estimate, NetworkBank as _, Validity};
 use firmware::fixed_point::Field;
 use firmware::sensors::hall::SENSORS;
 use model_export::gru::file::NetworkFile;
-use model_export::gru::network::{self, FloatState, Input, Network, OUTPUTS, Target};
+use model_export::gru::network::{FloatRun, Input, Network, OUTPUTS, Target};
 use model_export::gru::pack::{self, NetworkRun, PackedNetwork};
 use model_export::inverse::build::DeviceModel;
 use model_export::inverse::codegen;
@@ -79,7 +79,7 @@ impl NetworkSet {
                 network.hidden,
                 2 * inputs,
                 2 * hidden,
-                network::warm_up_steps(network),
+                packed.warm_up(),
             )
         });
         lines.collect::<String>()
@@ -99,11 +99,12 @@ impl NetworkSet {
 
     /// Fixed-point and floating-point networks after a reset.
     pub fn start(&self) -> ReplayNetworks<'_> {
-        let floats = self.file.networks.iter().map(|network| FloatNetwork {
+        let networks = self.file.networks.iter().zip(&self.packed);
+        let floats = networks.map(|(network, packed)| FloatNetwork {
             network,
-            state: FloatState::at(network, 0.0),
+            run: FloatRun::new(network),
             steps: 0,
-            warm_up: network::warm_up_steps(network),
+            warm_up: packed.warm_up(),
         });
         ReplayNetworks {
             running: self.run(),
@@ -135,10 +136,10 @@ pub struct ReplayNetworks<'a> {
     warm_up_pending: bool,
 }
 
-/// A floating-point network with its state.
+/// A floating-point network on its way.
 struct FloatNetwork<'a> {
     network: &'a Network,
-    state: FloatState,
+    run: FloatRun<'a>,
     steps: u16,
     warm_up: u16,
 }
@@ -227,10 +228,11 @@ impl FloatNetwork<'_> {
             Some((value - input.middle) / input.span)
         });
         let Some(inputs) = inputs.collect::<Option<Vec<f64>>>() else {
-            (self.state, self.steps) = (FloatState::at(network, 0.0), 0);
+            self.run.reset();
+            self.steps = 0;
             return Vec::new();
         };
-        let outputs = self.state.step(network, &inputs);
+        let outputs = self.run.step(&inputs);
         self.steps = self.steps.saturating_add(1);
         if self.steps <= self.warm_up {
             return Vec::new();

@@ -12,6 +12,8 @@
 //!
 //! Rows of a layer's weights are in the order r, z, n.
 
+use wide::f64x4;
+
 /// Gates of a unit: reset, update, candidate.
 pub const GATES: usize = 3;
 
@@ -110,60 +112,148 @@ pub struct Network {
     pub guards: Vec<TrainedRange>,
 }
 
-/// States of both layers.
-#[derive(Clone, Debug, PartialEq)]
-pub struct FloatState([Vec<f64>; 2]);
+/// Units that are evaluated together.
+const LANES: usize = 4;
 
-impl FloatState {
-    /// All units of both layers at `value`; zero after a reset.
-    pub fn at(network: &Network, value: f64) -> Self {
-        Self([vec![value; network.hidden], vec![value; network.hidden]])
+/// A network in floating point with the states of both layers.
+#[derive(Clone, Debug)]
+pub struct FloatRun<'a> {
+    network: &'a Network,
+    layers: [FloatLayer; 2],
+    outputs: Vec<f64>,
+}
+
+/// Weights and states of a layer, by groups of units.
+#[derive(Clone, Debug)]
+struct FloatLayer {
+    groups: Vec<UnitGroup>,
+    state: Vec<f64>,
+}
+
+/// Weights of units that are evaluated together: a lane for each, for r, z and n. Lanes without a unit have no weights.
+#[derive(Clone, Debug)]
+struct UnitGroup {
+    input_bias: [f64x4; GATES],
+    state_bias: [f64x4; GATES],
+    /// For each input.
+    input_weights: Vec<[f64x4; GATES]>,
+    /// For each unit of the layer.
+    state_weights: Vec<[f64x4; GATES]>,
+}
+
+impl<'a> FloatRun<'a> {
+    /// After a reset: all states are zero.
+    pub fn new(network: &'a Network) -> Self {
+        let [first, second] = &network.layers;
+        let hidden = network.hidden;
+        Self {
+            network,
+            layers: [
+                FloatLayer::new(first, network.inputs.len(), hidden),
+                FloatLayer::new(second, hidden, hidden),
+            ],
+            outputs: vec![0.0; network.head_bias.len()],
+        }
     }
 
-    /// Of one layer, in order.
-    pub fn layer(&self, layer: usize) -> &[f64] {
-        &self.0[layer]
+    /// Sets all states to zero.
+    pub fn reset(&mut self) {
+        self.layers.iter_mut().for_each(|layer| layer.state.fill(0.0));
+    }
+
+    /// States of one layer, in the order of the units.
+    pub fn state(&self, layer: usize) -> &[f64] {
+        &self.layers[layer].state
     }
 
     /// One step over scaled inputs; the outputs.
-    pub fn step(&mut self, network: &Network, inputs: &[f64]) -> Vec<f64> {
-        let [first, second] = &mut self.0;
-        *first = next(&network.layers[0], inputs, first);
-        *second = next(&network.layers[1], first, second);
-        let rows = network.head_weights.chunks(network.hidden);
-        let outputs = rows.zip(&network.head_bias);
-        outputs.map(|(row, &bias)| f64::from(bias) + dot(row, second)).collect()
+    pub fn step(&mut self, inputs: &[f64]) -> &[f64] {
+        let [first, second] = &mut self.layers;
+        first.step(inputs);
+        second.step(&first.state);
+        let rows = self.network.head_weights.chunks(self.network.hidden);
+        for ((output, row), bias) in self.outputs.iter_mut().zip(rows).zip(&self.network.head_bias)
+        {
+            let products = row.iter().zip(&second.state);
+            let sum: f64 = products.map(|(weight, value)| f64::from(*weight) * value).sum();
+            *output = f64::from(*bias) + sum;
+        }
+        &self.outputs
+    }
+
+    fn states(&self) -> [Vec<f64>; 2] {
+        [0, 1].map(|layer| self.state(layer).to_vec())
     }
 }
 
-fn next(layer: &Layer, inputs: &[f64], state: &[f64]) -> Vec<f64> {
-    let units = state.len();
-    let input = |row: usize| {
-        let weights = &layer.input_weights[row * inputs.len()..][..inputs.len()];
-        f64::from(layer.input_bias[row]) + dot(weights, inputs)
-    };
-    let recurrent = |row: usize| {
-        let weights = &layer.state_weights[row * units..][..units];
-        f64::from(layer.state_bias[row]) + dot(weights, state)
-    };
-    (0..units)
-        .map(|unit| {
-            let [reset_row, update_row, candidate_row] = [unit, units + unit, 2 * units + unit];
-            let reset = sigmoid(input(reset_row) + recurrent(reset_row));
-            let update = sigmoid(input(update_row) + recurrent(update_row));
-            let candidate = libm::tanh(input(candidate_row) + reset * recurrent(candidate_row));
-            (1.0 - update) * candidate + update * state[unit]
-        })
-        .collect()
+impl FloatLayer {
+    fn new(layer: &Layer, inputs: usize, units: usize) -> Self {
+        let group = |first: usize| {
+            let lanes = |values: &[f32], width: usize, column: usize| {
+                let of_gate = |gate: usize| {
+                    let value = |lane: usize| {
+                        let unit = first + lane;
+                        let row = gate * units + unit;
+                        if unit < units { f64::from(values[row * width + column]) } else { 0.0 }
+                    };
+                    f64x4::from(std::array::from_fn::<f64, LANES, _>(value))
+                };
+                std::array::from_fn(of_gate)
+            };
+            UnitGroup {
+                input_bias: lanes(&layer.input_bias, 1, 0),
+                state_bias: lanes(&layer.state_bias, 1, 0),
+                input_weights: (0..inputs)
+                    .map(|input| lanes(&layer.input_weights, inputs, input))
+                    .collect(),
+                state_weights: (0..units)
+                    .map(|unit| lanes(&layer.state_weights, units, unit))
+                    .collect(),
+            }
+        };
+        Self { groups: (0..units).step_by(LANES).map(group).collect(), state: vec![0.0; units] }
+    }
+
+    fn step(&mut self, inputs: &[f64]) {
+        let before = self.state.clone();
+        for (group, state) in self.groups.iter().zip(self.state.chunks_mut(LANES)) {
+            let [input_r, input_z, input_n] =
+                weighted_sums(group.input_bias, &group.input_weights, inputs);
+            let [state_r, state_z, state_n] =
+                weighted_sums(group.state_bias, &group.state_weights, &before);
+            let reset = sigmoid(input_r + state_r);
+            let update = sigmoid(input_z + state_z);
+            let candidate = tanh(input_n + reset * state_n);
+            let mut own = [0.0; LANES];
+            own[..state.len()].copy_from_slice(state);
+            let next = (f64x4::ONE - update) * candidate + update * f64x4::from(own);
+            state.copy_from_slice(&next.to_array()[..state.len()]);
+        }
+    }
 }
 
-fn dot(weights: &[f32], values: &[f64]) -> f64 {
-    let products = weights.iter().zip(values);
-    products.map(|(&weight, value)| f64::from(weight) * value).sum()
+fn weighted_sums(
+    bias: [f64x4; GATES],
+    weights: &[[f64x4; GATES]],
+    values: &[f64],
+) -> [f64x4; GATES] {
+    let mut sums = bias;
+    for (weights, value) in weights.iter().zip(values) {
+        let value = f64x4::splat(*value);
+        for gate in 0..GATES {
+            sums[gate] += weights[gate] * value;
+        }
+    }
+    sums
 }
 
-fn sigmoid(at: f64) -> f64 {
-    1.0 / (1.0 + libm::exp(-at))
+fn sigmoid(at: f64x4) -> f64x4 {
+    f64x4::ONE / (f64x4::ONE + (-at).exp())
+}
+
+fn tanh(at: f64x4) -> f64x4 {
+    let two = f64x4::splat(2.0);
+    two * sigmoid(two * at) - f64x4::ONE
 }
 
 /// Convergence tolerance of outputs: a thousandth of the force scale.
@@ -175,23 +265,30 @@ pub const MAX_WARM_UP: u16 = 10_000;
 /// with all inputs at zero.
 pub fn warm_up_steps(network: &Network) -> u16 {
     let inputs = network.inputs.len();
-    let driven = [-1.0, 1.0].map(|end| {
-        let mut state = FloatState::at(network, 0.0);
-        let driven_inputs = vec![end; inputs];
-        (0..MAX_WARM_UP).for_each(|_| drop(state.step(network, &driven_inputs)));
-        state
-    });
     let rest = vec![0.0; inputs];
-    let slowest = driven.into_iter().map(|mut driven| {
-        let mut reset = FloatState::at(network, 0.0);
+    let last_difference = |end: f64| {
+        let mut driven = FloatRun::new(network);
+        let driven_inputs = vec![end; inputs];
+        for _ in 0..MAX_WARM_UP {
+            let before = driven.states();
+            driven.step(&driven_inputs);
+            if driven.states() == before {
+                break;
+            }
+        }
+        let mut reset = FloatRun::new(network);
         let mut last_difference = 0;
         for step in 1..=MAX_WARM_UP {
-            let pairs = reset.step(network, &rest).into_iter().zip(driven.step(network, &rest));
+            let pairs = reset.step(&rest).iter().zip(driven.step(&rest));
             if pairs.into_iter().any(|(a, b)| (a - b).abs() > WARM_UP_TOLERANCE) {
                 last_difference = step;
             }
+            // To the last bit: no later step can differ.
+            if reset.states() == driven.states() {
+                break;
+            }
         }
         last_difference
-    });
-    slowest.max().unwrap_or(0)
+    };
+    last_difference(-1.0).max(last_difference(1.0))
 }

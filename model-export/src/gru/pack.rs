@@ -24,6 +24,8 @@ use crate::gru::quantise::{LayerRows, QuantiseError, QuantisedNetwork};
 pub trait PackedNetwork: Debug + Send + Sync {
     /// Pairs of inputs, pairs of units, sensors.
     fn size(&self) -> [usize; 3];
+    /// Steps from a reset until its outputs are used.
+    fn warm_up(&self) -> u16;
     /// A run from the reset state.
     fn run(&self) -> Box<dyn NetworkRun + '_>;
     /// The device's struct as Rust source.
@@ -252,6 +254,10 @@ impl<const INPUTS: usize, const HIDDEN: usize, const SENSOR_COUNT: usize> Packed
 {
     fn size(&self) -> [usize; 3] {
         [INPUTS, HIDDEN, SENSOR_COUNT]
+    }
+
+    fn warm_up(&self) -> u16 {
+        self.warm_up
     }
 
     fn run(&self) -> Box<dyn NetworkRun + '_> {

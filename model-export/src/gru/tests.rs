@@ -3,7 +3,7 @@
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use crate::gru::network::{FloatState, GATES, Input, Layer, Network, OUTPUTS, ScaledInput, Target};
+use crate::gru::network::{FloatRun, GATES, Input, Layer, Network, OUTPUTS, ScaledInput, Target};
 use crate::gru::pack::pack;
 use crate::gru::quantise::{QuantiseError, WeightRow};
 use firmware::estimator::{Estimate, Validity};
@@ -86,7 +86,7 @@ struct Errors {
 fn errors(network: &Network, steps: usize) -> Errors {
     let packed = pack(network, GAUSS_PER_LSB).unwrap();
     let mut run = packed.run();
-    let mut float = FloatState::at(network, 0.0);
+    let mut float = FloatRun::new(network);
     let mut rng = ChaCha8Rng::seed_from_u64(99);
     let mut offset = 0.0;
     let mut errors = Errors { thirds: [0.0; 3], worst: 0.0, worst_output: 0.0 };
@@ -107,10 +107,10 @@ fn errors(network: &Network, steps: usize) -> Errors {
             _ => 0,
         });
         let inputs: Vec<f64> = (0..network.inputs.len()).map(|n| value(n) / SPAN_G).collect();
-        let outputs = float.step(network, &inputs);
+        let outputs = float.step(&inputs).to_vec();
         let states = run.states();
         for (layer, states) in states.iter().enumerate() {
-            for (&fixed, exact) in states.iter().zip(float.layer(layer)) {
+            for (&fixed, exact) in states.iter().zip(float.state(layer)) {
                 let error = f64::from(fixed) / f64::from(1 << 30) - exact;
                 errors.thirds[3 * step / steps] += error * error;
                 errors.worst = errors.worst.max(error.abs());
