@@ -25,7 +25,7 @@ pub use catalogue::{CATALOGUE, UnknownEffect, find};
 pub use excitation::ExcitationSeries;
 pub use expression::Expression;
 pub use parameter::{Aggregation, EffectParameter, MagnitudeSpec, ParameterKind, ParameterScope};
-pub use state_series::{EffectChain, EffectStage, StateSeries};
+pub use state_series::{EffectChain, EffectStage, MovedSeries, StateSeries};
 
 /// Temperature in degrees Celsius at which remanence, offsets and gaps are stated.
 pub const REFERENCE_C: f64 = 25.0;

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use nalgebra::{DMatrix, DVector, Vector3};
 
-use crate::effects::{EffectChain, EffectTerm, StateSeries};
+use crate::effects::{EffectChain, EffectTerm, MovedSeries, StateSeries};
 use crate::fit::base_model::BaseModel;
 use crate::fit::cross_validation::noise_variance;
 use crate::fit::parameters::FreeParameter;
@@ -13,6 +13,9 @@ use crate::physics::{FieldResponse, PhysicalState};
 
 /// Step of numerical derivatives of the states, in prior widths.
 const STEP: f64 = 1e-4;
+
+/// Rows of a block: with its Jacobian it fits into the cache of a core.
+const BLOCK_ROWS: usize = 256;
 
 /// Prior width of the sensor offset in gauss when an effect models the ambient field, as left by calibration.
 /// Where the recordings turn the sensor too little to separate the two, a free offset would absorb the ambient
@@ -197,58 +200,81 @@ impl<'a> SensorProblem<'a> {
     /// Fields over a recording, and their derivatives to the acting scaled parameters ([`SensorProblem::acting`]): three rows for
     /// each row of the recording, one column for each parameter.
     pub fn linearise(&self, part: usize, scaled: &DVector<f64>) -> (ModelledFields, DMatrix<f64>) {
+        let rows = self.rows.parts[part].len();
+        let stiffness = self.base.stiffness(&self.values(scaled));
+        let mut modelled = ModelledFields::with_capacity(rows);
+        let mut jacobian = DMatrix::zeros(3 * rows, self.acting(part).len());
+        self.linearise_in_blocks(part, scaled, |rows, responses, block| {
+            responses.iter().for_each(|response| modelled.push(response, stiffness));
+            let (first, count) = (3 * rows.start, 3 * rows.len());
+            jacobian.rows_mut(first, count).copy_from(&block.rows(0, count));
+        });
+        (modelled, jacobian)
+    }
+
+    /// The same in blocks of consecutive rows, which stay in the processor's cache: for each its rows, their responses, and the
+    /// Jacobian, three rows for each of these.
+    pub fn linearise_in_blocks(
+        &self,
+        part: usize,
+        scaled: &DVector<f64>,
+        mut each: impl FnMut(Range<usize>, &[FieldResponse], &mut DMatrix<f64>),
+    ) {
         let values = self.values(scaled);
-        let stiffness = self.base.stiffness(&values);
         let track = &self.rows.parts[part].track;
-        let chain = EffectChain::new(track, stiffness, self.effects_with(&values));
-        let states = chain.states();
+        let chain =
+            EffectChain::new(track, self.base.stiffness(&values), self.effects_with(&values));
         let at = self.base.linearise(&values[..self.base_count]);
-        let mut modelled = ModelledFields::with_capacity(states.len());
         let acting = self.acting(part);
-        let mut jacobian = DMatrix::zeros(3 * states.len(), acting.len());
         let derivatives: Vec<f64> = self
             .parameters
             .iter()
             .zip(scaled.iter())
             .map(|(index, &d)| index.derivative(d))
             .collect();
-        let mut columns = vec![Vector3::zeros(); self.base_count];
-        let mut responses = Vec::with_capacity(states.len());
-        for (row, state) in states.iter().enumerate() {
-            let response = at(state, &mut columns);
-            for (index, column) in columns.iter().enumerate() {
-                set_column(&mut jacobian, row, index, column * derivatives[index]);
-            }
-            modelled.push(&response, stiffness);
-            responses.push(response);
-        }
         // At a limit the field depends on the parameter only inwards.
         let step = |index: usize| {
             let inwards = self.parameters[index].is_near_upper_limit(scaled[index]);
             if inwards { -STEP } else { STEP }
-        };
-        let mut set_columns = |index: usize, changes: &[Vector3<f64>]| {
-            let Ok(column) = acting.binary_search(&index) else { return };
-            for (row, change) in changes.iter().enumerate() {
-                set_column(&mut jacobian, row, column, change / step(index));
-            }
         };
         let moved = |index: usize| {
             let mut moved = scaled.clone();
             moved[index] += step(index);
             self.values(&moved)
         };
+        // Column of the Jacobian, step, and what it moves.
+        let mut numeric: Vec<(usize, f64, MovedSeries)> = Vec::new();
         for index in 0..self.base.stiffness_count() {
             let stiffness = self.base.stiffness(&moved(index));
-            set_columns(index, &chain.change_of_stiffness(stiffness, &responses));
+            numeric.push((index, step(index), chain.moved_stiffness(stiffness)));
         }
         for (place, range) in self.ranges().iter().enumerate() {
-            for index in range.clone().filter(|index| acting.binary_search(index).is_ok()) {
+            for index in range.clone() {
+                let Ok(column) = acting.binary_search(&index) else { continue };
                 let values = &moved(index)[range.clone()];
-                set_columns(index, &chain.change(place, values, &responses));
+                numeric.push((column, step(index), chain.moved(place, values)));
             }
         }
-        (modelled, jacobian)
+        let states = chain.states();
+        let mut jacobian = DMatrix::zeros(3 * BLOCK_ROWS.min(states.len()), acting.len());
+        let mut columns = vec![Vector3::zeros(); self.base_count];
+        let mut responses = Vec::with_capacity(BLOCK_ROWS);
+        for (block, states) in states.chunks(BLOCK_ROWS).enumerate() {
+            responses.clear();
+            for (row, state) in states.iter().enumerate() {
+                responses.push(at(state, &mut columns));
+                for (index, column) in columns.iter().enumerate() {
+                    set_column(&mut jacobian, row, index, column * derivatives[index]);
+                }
+            }
+            let first = BLOCK_ROWS * block;
+            for (column, step, moved) in &numeric {
+                for (row, change) in moved.changes(first, &responses).enumerate() {
+                    set_column(&mut jacobian, row, *column, change / *step);
+                }
+            }
+            each(first..first + states.len(), &responses, &mut jacobian);
+        }
     }
 
     fn axis_weights(&self) -> Vector3<f64> {

@@ -2,7 +2,7 @@
 
 use levenberg_marquardt::{LeastSquaresProblem, LevenbergMarquardt, TerminationReason};
 use nalgebra::storage::Owned;
-use nalgebra::{DMatrix, DVector, Dyn, OMatrix};
+use nalgebra::{DMatrix, DVector, Dyn, OMatrix, Vector3};
 
 use crate::fit::FitError;
 use crate::fit::block_bootstrap::Block;
@@ -67,12 +67,25 @@ impl Descent<'_> {
         let scaled = self.scaled();
         let mut sum = Block::zeros(scaled.len());
         for part in self.parts() {
-            let (jacobian, residuals) = weighted_jacobian(self.problem, part, &scaled);
             let acting = self.problem.acting(part);
-            for range in self.ranges.iter().filter(|range| range.part == part) {
-                let rows = 3 * range.rows.start..3 * range.rows.end;
-                sum += &Block::of((&jacobian, &acting, scaled.len()), &residuals, rows);
-            }
+            self.problem.linearise_in_blocks(part, &scaled, |rows, responses, jacobian| {
+                let ranges = self.ranges.iter().filter(|range| range.part == part);
+                let within = ranges.filter_map(|range| {
+                    let within = range.rows.start.max(rows.start)..range.rows.end.min(rows.end);
+                    (!within.is_empty()).then_some(within)
+                });
+                let mut within = within.peekable();
+                if within.peek().is_none() {
+                    return;
+                }
+                let modelled = responses.iter().map(|response| response.field_g);
+                let measured = &self.problem.rows.parts[part].field_g[rows.clone()];
+                let residuals = weighted(self.problem, jacobian, measured, modelled);
+                for range in within {
+                    let rows = 3 * (range.start - rows.start)..3 * (range.end - rows.start);
+                    sum += &Block::of((&*jacobian, &acting, scaled.len()), &residuals, rows);
+                }
+            });
         }
         sum
     }
@@ -112,20 +125,30 @@ pub fn weighted_jacobian(
     part: usize,
     scaled: &DVector<f64>,
 ) -> (DMatrix<f64>, Vec<f64>) {
-    let weights = &problem.weights;
     let (modelled, mut jacobian) = problem.linearise(part, scaled);
+    let measured = &problem.rows.parts[part].field_g;
+    let residuals = weighted(problem, &mut jacobian, measured, modelled.fields.into_iter());
+    (jacobian, residuals)
+}
+
+/// Weights a Jacobian of these rows; returns their weighted residuals.
+fn weighted(
+    problem: &SensorProblem,
+    jacobian: &mut DMatrix<f64>,
+    measured: &[Vector3<f64>],
+    modelled: impl Iterator<Item = Vector3<f64>>,
+) -> Vec<f64> {
+    let weights = &problem.weights;
     for mut column in jacobian.column_iter_mut() {
         for row in column.as_mut_slice().chunks_exact_mut(3) {
             row.iter_mut().zip(weights.iter()).for_each(|(v, w)| *v *= w);
         }
     }
-    let measured = &problem.rows.parts[part].field_g;
-    let left = measured.iter().zip(&modelled.fields);
-    let left = left.flat_map(|(measured, modelled)| {
+    let errors = measured.iter().zip(modelled).flat_map(|(measured, modelled)| {
         let error = (measured - modelled).component_mul(weights);
         [error.x, error.y, error.z]
     });
-    (jacobian, left.collect())
+    errors.collect()
 }
 
 impl LeastSquaresProblem<f64, Dyn, Dyn> for Descent<'_> {

@@ -133,8 +133,8 @@ impl Grbf {
                 for axis in 0..3 {
                     group.centres[axis].as_mut_array()[lane] = centre[axis];
                 }
-                for axis in 0..2 {
-                    group.weights_n[axis].as_mut_array()[lane] = weight[axis];
+                for (lanes, weight) in group.weights_n.iter_mut().zip(weight) {
+                    lanes.as_mut_array()[lane] = *weight;
                 }
             }
             group
