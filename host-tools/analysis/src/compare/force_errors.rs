@@ -204,33 +204,33 @@ fn pool(all: &mut Vec<(u32, [Channel; 2])>, sensors: Vec<SensorForces>) {
 /// Tables of the models of a plan, `None` where a model predicts no row, or why there are none.
 type FoldTables = Result<Vec<Option<DeviceModel>>, MissingForces>;
 
-/// Tables of the models of a plan that predict any row. The shape of the inverse is selected once, for the
-/// first: those of the other folds differ too little to need another.
+/// Tables of the models of a plan that predict any row, all with the shape of the inverse of the file or of the fit to all rows.
 fn build_tables(plan: &CvPlan, path: &Path) -> Result<FoldTables> {
     let is_used = |model: &usize| {
         let mut folds = plan.recordings.iter().flat_map(|recording| &recording.folds);
         folds.any(|(_, of)| of == model)
     };
-    let build = |model: usize, shape: Option<GrbfShape>| -> Result<DeviceModel> {
-        let model = &plan.models[model].model;
+    let build = |model: &ModelFile| -> Result<DeviceModel> {
         let bytes = toml::to_string(model)?;
-        let model = ModelFile { inverse: shape, ..model.clone() };
-        Ok(build_model(model, path, bytes.as_bytes(), ModelVariant::Fitted)?)
+        Ok(build_model(model.clone(), path, bytes.as_bytes(), ModelVariant::Fitted)?)
     };
     let used: Vec<usize> = (0..plan.models.len()).filter(is_used).collect();
-    let Some((&first, others)) = used.split_first() else {
+    let Some(whole) = plan.models.last().filter(|_| !used.is_empty()) else {
         return Ok(Ok(Vec::new()));
     };
-    let all = build(first, None).and_then(|first_built| {
-        let shape = Some(first_built.chosen.shape);
-        let build_other = |model: &usize| Ok((*model, build(*model, shape)?));
-        let others = others.par_iter().map(build_other).collect::<Result<Vec<_>>>()?;
-        Ok([(first, first_built)].into_iter().chain(others))
+    let stated = plan.models.iter().find_map(|fold| fold.model.inverse);
+    let shape = stated.map_or_else(|| Ok(build(&whole.model)?.chosen.shape), Ok);
+    let all = shape.and_then(|shape| {
+        let build = |place: &usize| {
+            let model = plan.models[*place].model.clone();
+            Ok((*place, build(&ModelFile { inverse: Some(shape), ..model })?))
+        };
+        used.par_iter().map(build).collect::<Result<Vec<_>>>()
     });
     match all {
         Ok(all) => {
             let mut built: Vec<Option<DeviceModel>> = plan.models.iter().map(|_| None).collect();
-            all.for_each(|(model, tables)| built[model] = Some(tables));
+            all.into_iter().for_each(|(model, tables)| built[model] = Some(tables));
             Ok(Ok(built))
         }
         Err(error) => match error.downcast_ref::<BuildError>() {
