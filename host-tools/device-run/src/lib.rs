@@ -11,9 +11,12 @@ pub mod channel_map;
 pub mod mcap;
 pub mod networks;
 
+use std::collections::VecDeque;
+
 use firmware::compensation::auxiliary_inputs::AuxiliaryInputs;
 use firmware::compensation::covariates::Covariates;
 use firmware::compensation::{Compensation, CompensationState};
+use firmware::config::constants;
 use firmware::estimator::{Validity, estimate};
 use firmware::fixed_point::{Field, Force};
 use firmware::sensors::hall::{HallReading, SENSORS};
@@ -23,7 +26,8 @@ use model_export::inverse::compensation::OwnedCompensation;
 use model_export::inverse::grbf::Grbf;
 use model_export::inverse::quantise::TableSet;
 use model_export::recordings::DataError;
-use model_export::recordings::columns::ChannelLayout;
+use model_export::recordings::columns::{ChannelLayout, HallColumn};
+use model_export::recordings::csv_table::GAP_STEPS;
 use model_export::recordings::description::NominalDesign;
 use model_export::recordings::stream::{RawRow, RawStream};
 
@@ -86,6 +90,10 @@ pub struct DeviceRow {
     pub covariates: Covariates,
     /// Inputs of the compensation.
     pub inputs: AuxiliaryInputs,
+    /// False for a row that was interpolated between two recorded ones.
+    pub is_recorded: bool,
+    /// True for the first row at or after a reference row ([`RawStream::at_reference_row`]).
+    pub at_reference_row: bool,
 }
 
 /// Channels of rows that are inputs of the device.
@@ -126,14 +134,29 @@ impl InputChannels {
         }
         let covariates = self.covariates.at(&raw);
         let inputs = covariates.inputs(self.covariates.pole_pairs());
-        DeviceRow { raw, readings, covariates, inputs }
+        DeviceRow { raw, readings, covariates, inputs, is_recorded: true, at_reference_row: false }
     }
 }
 
-/// The walk over the rows of a recording, as inputs of the device, in order.
+/// Time between two samples of the device, in microseconds.
+const TICK_US: f64 = constants::TICK_US as f64;
+
+/// The walk over the rows of a recording, as inputs of the device, in order, at the device's rate: its compensation and its
+/// networks advance by one step with each sample. Of a slower recording, rows are interpolated linearly; of a faster one,
+/// some are left out.
 pub struct RecordedRows {
     stream: RawStream,
     channels: InputChannels,
+    /// Whether there are device samples between the recorded rows.
+    is_slower: bool,
+    /// Recorded rows for each device sample, at least one.
+    rows_per_tick: usize,
+    /// Channels that are held instead of interpolated: angles, which wrap.
+    held: Vec<bool>,
+    last: Option<RawRow>,
+    /// Rows to return next, and whether they were recorded.
+    pending: VecDeque<(RawRow, bool)>,
+    at_reference_row: bool,
 }
 
 impl RecordedRows {
@@ -145,7 +168,61 @@ impl RecordedRows {
         gauss_per_lsb: f64,
     ) -> Self {
         let channels = InputChannels::find(stream.layout(), numbers, design, gauss_per_lsb);
-        Self { stream, channels }
+        let is_angle = |column: &HallColumn| matches!(column, HallColumn::Covariate { name } if name.ends_with("_rad"));
+        let ratio = stream.period_us() / TICK_US;
+        // The cast saturates, and the clock of a single row has no period.
+        let rows_per_tick = if ratio > 0.0 { (1.0 / ratio).round() as usize } else { 1 };
+        Self {
+            channels,
+            is_slower: ratio.round() > 1.0,
+            rows_per_tick: rows_per_tick.max(1),
+            held: stream.layout().hall.iter().map(is_angle).collect(),
+            last: None,
+            pending: VecDeque::new(),
+            at_reference_row: false,
+            stream,
+        }
+    }
+
+    /// Reads the next row, with the rows between it and the one before.
+    fn read(&mut self) -> Result<(), DataError> {
+        let mut read = None;
+        self.at_reference_row = false;
+        for _ in 0..self.rows_per_tick {
+            let Some(row) = self.stream.next_row()? else { break };
+            self.at_reference_row |= self.stream.at_reference_row();
+            read.get_or_insert(row);
+        }
+        let Some(row) = read else {
+            return Ok(());
+        };
+        if self.is_slower {
+            if let Some(last) = &self.last {
+                let step_us = 1e6 * (row.time_s - last.time_s);
+                let is_gap = step_us > GAP_STEPS * self.stream.period_us();
+                let ticks = if is_gap { 1 } else { (step_us / TICK_US).round() as usize };
+                for tick in 1..ticks {
+                    let between = self.between(last, &row, tick as f64 / ticks as f64);
+                    self.pending.push_back((between, false));
+                }
+            }
+            self.last = Some(row.clone());
+        }
+        self.pending.push_back((row, true));
+        Ok(())
+    }
+
+    /// A row at this share of the time between two; without forces, since it is not compared with them.
+    fn between(&self, from: &RawRow, to: &RawRow, share: f64) -> RawRow {
+        let channels = from.hall.iter().zip(&to.hall).zip(&self.held);
+        let value = |((from, to), is_held): ((&f64, &f64), &bool)| {
+            if *is_held { *from } else { from + share * (to - from) }
+        };
+        RawRow {
+            time_s: from.time_s + share * (to.time_s - from.time_s),
+            hall: channels.map(value).collect(),
+            forces: vec![f64::NAN; from.forces.len()],
+        }
     }
 
     /// Channels of the sensors, in the order of the tables.
@@ -163,8 +240,14 @@ impl Iterator for RecordedRows {
     type Item = Result<DeviceRow, DataError>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        let raw = self.stream.next_row().transpose()?;
-        Some(raw.map(|raw| self.channels.row(raw)))
+        if self.pending.is_empty()
+            && let Err(error) = self.read()
+        {
+            return Some(Err(error));
+        }
+        let (raw, is_recorded) = self.pending.pop_front()?;
+        let at_reference_row = is_recorded && self.at_reference_row;
+        Some(Ok(DeviceRow { is_recorded, at_reference_row, ..self.channels.row(raw) }))
     }
 }
 
@@ -205,8 +288,7 @@ pub fn training_sequence(
             track.ideal_n.push(ideal_n);
             track.parity_residual_g.push(gauss(estimate.parity.residual));
             let truth = channels.forces.map(|force| row.raw.forces[force]);
-            let has_target =
-                input.stream().at_reference_row() && truth.iter().all(|n| n.is_finite());
+            let has_target = row.at_reference_row && truth.iter().all(|n| n.is_finite());
             if has_target && estimate.validity == Validity::Valid {
                 track.truth_n.push((rows, truth.map(|n| n as f32)));
             }

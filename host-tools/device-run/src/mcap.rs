@@ -80,6 +80,9 @@ pub fn write_recording(
         force.write_until(time_us, |time_us, values| file.reference(time_us, values))?;
         let frame = HallFrame { readings: row.readings, ..HallFrame::default() };
         let estimates = estimator.update(&frame, &row.inputs);
+        if !row.is_recorded {
+            continue;
+        }
         let of_sensor = |number: &u32| {
             let estimate = estimates.get(*number as usize);
             estimate.map_or_else(EstimatedForce::default, |estimate| EstimatedForce {

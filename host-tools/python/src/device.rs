@@ -6,13 +6,16 @@ use std::sync::mpsc::{self, Receiver, Sender};
 use std::sync::{Mutex, PoisonError};
 
 use anyhow::{Context, Result, anyhow, bail};
+use device_run::channel_map::SensorChannels;
 use device_run::networks::NetworkSet;
 use device_run::{DeviceRow, InputChannels, RecordedRows, ReplayModels};
 use firmware::compensation::Compensation;
+use firmware::config::constants;
 use firmware::estimator::{Estimator, Validity};
 use firmware::fixed_point::Force;
 use firmware::sensors::hall::{HallFrame, SENSORS};
 use model_export::inverse::build::{DeviceModel, ModelVariant, build};
+use model_export::inverse::compensation::OwnedCompensation;
 use model_export::recordings::align::Alignment;
 use model_export::recordings::columns::{
     Axis, ChannelLayout, FieldUnit, ForceColumn, HallColumn, hall_column,
@@ -163,6 +166,9 @@ impl Estimates {
     ) {
         let frame = HallFrame { readings: row.readings, ..HallFrame::default() };
         let estimates = estimator.update(&frame, &row.inputs);
+        if !row.is_recorded {
+            return;
+        }
         self.time_s.push(row.raw.time_s);
         self.is_disturbed.push(estimator.detector().flag());
         for estimate in numbers.iter().filter_map(|number| estimates.get(*number as usize)) {
@@ -222,7 +228,38 @@ fn recorded(models: &ReplayModels, folder: &Path, alignment: Alignment) -> Resul
             folder.display()
         );
     }
+    check_temperatures(models, rows.sensors())?;
     Ok(rows)
+}
+
+/// A sensor of the board always has its temperature, so that the device's code does not notice where it is missing.
+fn check_temperatures(models: &ReplayModels, sensors: &[SensorChannels]) -> Result<()> {
+    if !models.compensations.iter().any(OwnedCompensation::needs_temperature) {
+        return Ok(());
+    }
+    match sensors.iter().find(|channels| channels.temperature.is_none()) {
+        Some(SensorChannels { number, .. }) => bail!(
+            "s{number}_temp_c is missing: the model compensates an effect of the sensor's temperature (in degrees Celsius)"
+        ),
+        None => Ok(()),
+    }
+}
+
+/// The device's filters and networks advance by one step with each row.
+fn check_rate(time_s: &[f64]) -> Result<()> {
+    // Without a clock the rows are at the device's rate.
+    let steps_s = time_s.windows(2).map(|pair| pair[1] - pair[0]);
+    let mut steps_s: Vec<f64> = steps_s.filter(|step_s| step_s.is_finite()).collect();
+    steps_s.sort_by(f64::total_cmp);
+    let tick_s = 1e-6 * constants::TICK_US as f64;
+    match steps_s.get(steps_s.len() / 2) {
+        Some(median_s) if !(0.5..1.5).contains(&(median_s / tick_s)) => bail!(
+            "the rows are {:.3} ms apart, and the device has one every {:.0} ms: interpolate the columns at that rate, or write a recording and use run_recording, which does",
+            1e3 * median_s,
+            1e3 * tick_s
+        ),
+        _ => Ok(()),
+    }
 }
 
 /// Rows of these columns as inputs of the device.
@@ -267,6 +304,8 @@ fn rows<'a>(
             "the field of sensor {number} is missing: give s{number}_x_gauss, s{number}_y_gauss and s{number}_z_gauss, or counts as s{number}_x_lsb ..."
         );
     }
+    check_temperatures(models, channels.sensors())?;
+    check_rate(&time_s)?;
     let references = vec![f64::NAN; layout.forces.len()];
     Ok((0..count).map(move |row| {
         channels.row(RawRow {

@@ -504,6 +504,8 @@ impl ClockMonitor {
 
 /// Below every sensor's period: the clock is in another unit.
 const MIN_PERIOD_US: f64 = 20.0;
+/// Above every sensor's period, likewise.
+const MAX_PERIOD_US: f64 = 5e5;
 
 /// Median period of a table's clock.
 ///
@@ -511,7 +513,7 @@ const MIN_PERIOD_US: f64 = 20.0;
 /// The clock is not in microseconds, or the table has no rows.
 pub(super) fn period_us(table: &mut CsvTable, time_column: usize) -> Result<f64, DataError> {
     let period_us = table.median_period()?;
-    if period_us > 0.0 && period_us < MIN_PERIOD_US {
+    if period_us > 0.0 && !(MIN_PERIOD_US..=MAX_PERIOD_US).contains(&period_us) {
         return Err(ErrorKind::ClockUnit { period_us }.at(table.cell_location(2, time_column)));
     }
     Ok(period_us)

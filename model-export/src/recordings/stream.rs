@@ -256,6 +256,11 @@ impl RawStream {
         &self.layout
     }
 
+    /// Median time between board rows in microseconds.
+    pub fn period_us(&self) -> f64 {
+        self.hall.period_us
+    }
+
     /// White noise of one reference row in newtons, each force, from the rows read so far.
     pub fn force_noise(&self) -> Vec<Option<f64>> {
         self.force.noise.iter().map(WhiteNoise::estimate).collect()

@@ -280,7 +280,7 @@ impl<'a> ModelReplay<'a> {
         if let (Some(first), Some(last)) = (rows.first(), rows.last()) {
             result.span_s = last.raw.time_s - *self.first_s.get_or_insert(first.raw.time_s);
         }
-        result.rows += rows.len() as u64;
+        result.rows += rows.iter().filter(|row| row.is_recorded).count() as u64;
         let estimates = self.estimates.chunks(sensors.len().max(1));
         let mut network_valid = self.network_valid.iter().copied();
         let networks = estimator.networks();
@@ -290,6 +290,9 @@ impl<'a> ModelReplay<'a> {
             for (i, (channels, estimate)) in sensors.iter().zip(estimates).enumerate() {
                 let number = channels.number as usize;
                 let network_valid = network_valid.next().unwrap_or(true);
+                if !row.is_recorded {
+                    continue;
+                }
                 let sensor = &mut self.evaluation.result.sensors[i];
                 sensor.diverged += u64::from(!network_valid);
                 let no_temperature = self.needs_temperature && channels.temperature.is_none();

@@ -65,9 +65,10 @@ pub fn propose(sources: &[PathBuf]) -> Result<Proposal, DataError> {
     {
         return stated(first, text);
     }
-    let mut recordings = Vec::new();
+    let mut recordings: Vec<Vec<SourceTable>> = Vec::new();
     for source in sources {
-        recordings.push(read_source(source)?);
+        let first = recordings.first().map_or(&[][..], Vec::as_slice);
+        recordings.push(read_source(source, first)?);
     }
     let Some((first, others)) = recordings.split_first() else {
         return Ok(Proposal {

@@ -49,10 +49,10 @@ pub struct SourceTable {
     pub columns: Vec<SourceColumn>,
 }
 
-/// Tables of a file, or of a folder.
-pub fn read_source(source: &Path) -> Result<Vec<SourceTable>, DataError> {
+/// Tables of a file, or of a folder; those of a bag with the clocks of the `first` one, where there is one.
+pub fn read_source(source: &Path, first: &[SourceTable]) -> Result<Vec<SourceTable>, DataError> {
     if mcap::is_bag(source) {
-        return read_bag(source);
+        return read_bag(source, first);
     }
     if !source.is_dir() {
         return Ok(vec![read_table(source, false)?]);
@@ -76,9 +76,14 @@ pub fn read_source(source: &Path) -> Result<Vec<SourceTable>, DataError> {
     paths.iter().map(|path| read_table(path, true)).collect()
 }
 
-/// Tables of a bag: of the topics with a force, and of the others. Each has the clock of the topic with the most messages.
-fn read_bag(path: &Path) -> Result<Vec<SourceTable>, DataError> {
-    let topics = mcap::read_topics(path, |_| true, Undecodable::Skip)?;
+/// Share of the messages of the fastest topic from which a topic is as fast: bags begin and end between messages.
+const AS_FAST: f64 = 0.9;
+
+/// Tables of a bag: of the topics with a force, and of the others. Each has the clock of a table of the `first` bag, or of the
+/// fastest topic, the first of these by name.
+fn read_bag(path: &Path, first: &[SourceTable]) -> Result<Vec<SourceTable>, DataError> {
+    let mut topics = mcap::read_topics(path, |_| true, Undecodable::Skip)?;
+    topics.sort_by(|a, b| a.name.cmp(&b.name));
     let has = |topic: &Topic, quantity: Quantity| {
         let mut names = topic.columns.iter().map(|column| topic.column_name(&column.path));
         names.any(|name| ColumnName::of(&name).quantity == quantity)
@@ -89,18 +94,25 @@ fn read_bag(path: &Path) -> Result<Vec<SourceTable>, DataError> {
     for (topics, quantity, join) in
         [(other, Quantity::Field, Join::Nearest), (force, Quantity::Force, Join::Once)]
     {
-        let of_quantity = topics.iter().filter(|topic| has(topic, quantity));
-        let Some(first) = of_quantity.rev().max_by_key(|topic| topic.messages()) else {
+        let clock = mcap::common_clock(&topics);
+        let of_quantity = || topics.iter().filter(|topic| has(topic, quantity));
+        let is_known = |topic: &&Topic| {
+            let mut clocks = first.iter().filter_map(|table| table.columns.first());
+            clocks.any(|column| column.name == topic.column_name(clock))
+        };
+        let most = of_quantity().map(Topic::messages).max().unwrap_or(0);
+        let is_fast = |topic: &&Topic| topic.messages() as f64 >= AS_FAST * most as f64;
+        let Some(timed) = of_quantity().find(is_known).or_else(|| of_quantity().find(is_fast))
+        else {
             continue;
         };
-        let clock = mcap::common_clock(&topics);
-        let clock_name = first.column_name(clock);
+        let clock_name = timed.column_name(clock);
         let fields = topics.iter().flat_map(|topic| {
             let wanted = topic.fields().filter(|column| !column.path.contains("covariance"));
             wanted.map(|column| (topic.column_name(&column.path), topic.unit(&column.path)))
         });
         let fields: Vec<(String, Option<String>)> =
-            [(clock_name.clone(), first.unit(clock))].into_iter().chain(fields).collect();
+            [(clock_name.clone(), timed.unit(clock))].into_iter().chain(fields).collect();
         let names: Vec<&str> = fields.iter().map(|(name, _)| name.as_str()).collect();
         let text = mcap::join_topics(path, &topics, &clock_name, &names, join)?;
         let header = CsvTable::from_text(path, text.clone())?.header().to_vec();
