@@ -83,6 +83,13 @@ pub enum Note {
         /// Names of all effects of the model.
         effects: Vec<String>,
     },
+    /// No recording has a column of an effect, so the prediction is without the effect.
+    EffectWithoutColumn {
+        /// Name of the effect.
+        effect: String,
+        /// Name of the column.
+        column: String,
+    },
     /// A covariate of an effect is constant, so the effect is not identifiable.
     ConstantCovariate {
         /// Name of the column.

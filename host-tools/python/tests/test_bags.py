@@ -143,20 +143,30 @@ def test_protobuf_and_json_of_mcap(command, tables, tmp_path):
             stamp = Timestamp(seconds=time_ns // 10**9, nanos=time_ns % 10**9)
             message = types[topic.split("/")[-1]](stamp=stamp, **values)
             writer.write_message(topic, message, log_time=time_ns, publish_time=time_ns)
-    with paths[1].open("wb") as out:
-        writer = JsonWriter(out)
-        writer.start()
-        schema = writer.register_schema("reading", "jsonschema", b'{"type": "object"}')
-        channels = {topic: writer.register_channel(topic, "json", schema) for topic in {row[1] for row in both}}
-        for time_ns, topic, values in both:
-            data = json.dumps(values | {"ok": True, "note": None}).encode()
-            writer.add_message(channels[topic], time_ns, data, time_ns)
-        writer.finish()
+    def write_json(path, messages):
+        with path.open("wb") as out:
+            writer = JsonWriter(out)
+            writer.start()
+            schema = writer.register_schema("reading", "jsonschema", b'{"type": "object"}')
+            topics = dict.fromkeys(row[1] for row in messages)
+            channels = {topic: writer.register_channel(topic, "json", schema) for topic in topics}
+            for time_ns, topic, values in messages:
+                data = json.dumps(values | {"ok": True, "note": None}).encode()
+                writer.add_message(channels[topic], time_ns, data, time_ns)
+            writer.finish()
+
+    write_json(paths[1], both)
     for path in paths:
         folder = tmp_path / path.stem
         folder.mkdir()
         _, read_hall, read_force = imported(command, folder, path)
         is_equal(read_hall, read_force, tables)
+    # Which sensor is first in a file, and has a message more, is chance.
+    later = sorted(sorted(both, key=lambda row: row[1], reverse=True)[1:], key=lambda row: row[0])
+    write_json(tmp_path / "later.mcap", later)
+    mapping = tmp_path / "both.toml"
+    command("import", "--guess", paths[1], tmp_path / "later.mcap", "-o", mapping)
+    command("import", mapping, paths[1], tmp_path / "later.mcap", "-o", tmp_path / "both")
 
 
 def test_our_files_are_read_by_others_and_round_trip(command, fitted, tmp_path):

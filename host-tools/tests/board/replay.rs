@@ -22,6 +22,7 @@ use model_export::recordings::align::Alignment;
 use model_export::recordings::stream::RawStream;
 use sim::board::world::RecordedWorld;
 use sim::board::{Program, VirtualTimeBoard};
+use tests::campaign_copy::CsvTable;
 use tests::{data, full_campaign};
 
 use crate::workdir::WorkDir;
@@ -222,4 +223,41 @@ fn force_frames_are_sent_within_1_ms_of_the_sample() {
     }
     // Two transfers of 102 us; four frames of 132 us, where no heartbeat or event precedes.
     assert!((204 + 4 * 132..=1000).contains(&worst_us), "{worst_us} us");
+}
+
+/// A copy of a recording with every `step`-th row of the board.
+fn thinned(from: &Path, to: &Path, step: usize) {
+    std::fs::create_dir_all(to).unwrap();
+    for name in ["recording.toml", "force.csv.gz"] {
+        std::fs::copy(from.join(name), to.join(name)).unwrap();
+    }
+    let hall = CsvTable::read(&from.join("hall.csv.gz"));
+    let rows = hall.rows.iter().step_by(step).map(|row| row.join(","));
+    let lines = [hall.header.join(",")].into_iter().chain(rows);
+    std::fs::write(to.join("hall.csv"), lines.collect::<Vec<_>>().join("\n")).unwrap();
+}
+
+#[test]
+fn slower_recordings_are_replayed_at_the_rate_of_the_device() {
+    let dir = WorkDir::empty();
+    dir.stdout("simulate -o slow --seconds 10 --sensors 1 --seed 9 --effect viscous_lag=20");
+    dir.stdout("fit slow -o base.toml");
+    dir.stdout("add base.toml slow viscous_lag -o model.toml");
+    let built = build(&dir.path("model.toml"), ModelVariant::Fitted).unwrap();
+    let errors_n = |folder: &Path| {
+        let models = [ReplayModels::of(&built)];
+        let replays = replay_each(&models, "", stream(folder), |_| (), |_, _| ()).unwrap();
+        (replays[0].rows, replays[0].sensors[0].axes.map(|axis| axis.error.rms()))
+    };
+    let (rows, at_1_khz) = errors_n(&dir.path("slow/2"));
+    for step in [2, 5, 10] {
+        let folder = dir.path(&format!("slow-{step}"));
+        thinned(&dir.path("slow/2"), &folder, step);
+        let (fewer, slower) = errors_n(&folder);
+        assert_eq!(fewer, rows.div_ceil(step as u64));
+        // A filter that took each row for a millisecond would be wrong by newtons; interpolated noise is not white.
+        for (slower, at_1_khz) in slower.into_iter().zip(at_1_khz) {
+            assert!((slower / at_1_khz - 1.0).abs() < 0.2, "{step}: {slower} {at_1_khz} N");
+        }
+    }
 }

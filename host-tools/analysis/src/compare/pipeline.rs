@@ -14,6 +14,7 @@ use crate::data_quality::{Finding, check_against_model, merge};
 use crate::notes::{Note, collect};
 use crate::progress;
 use anyhow::Result;
+use model_export::effects::excitation::source_column;
 use model_export::effects::{EffectTerm, ExcitationSeries};
 use model_export::fit::FitOptions;
 use model_export::fit::block_bootstrap::autocorrelation_rows;
@@ -204,6 +205,8 @@ pub(crate) fn evaluate(
         .collect();
     let axes = axes(&fields, &columns);
     notes.extend(other_gripper(&axes));
+    let effects = model.effect_terms(path)?;
+    notes.extend(effects.iter().flat_map(|effect| without_column(effect, &columns)));
     let correlation_s = correlation_s(&columns);
     let block_s = (3.0 * correlation_s).max(MIN_BLOCK_S);
     let locator = Attributor::new(&columns, block_s);
@@ -243,6 +246,21 @@ fn other_gripper(axes: &[FieldAxisErrors]) -> Option<Note> {
     floors.sort_by(f64::total_cmp);
     let is_most = 2 * floors.len() > axes.len();
     is_most.then(|| Note::OtherGripper { floors: floors[floors.len() / 2] })
+}
+
+/// A note for each column of an effect that no recording has.
+fn without_column(effect: &EffectTerm, sensors: &[ResidualTable]) -> Vec<Note> {
+    let is_recorded = |name: &str| {
+        let mut columns = sensors.iter().filter_map(|sensor| sensor.column(name));
+        columns.any(|column| column.values.iter().any(|value| value.is_finite()))
+    };
+    let needs = effect.needs();
+    let missing = needs.iter().map(|need| source_column(need)).filter(|need| !is_recorded(need));
+    let note = |column: &str| Note::EffectWithoutColumn {
+        effect: effect.name().to_owned(),
+        column: column.to_owned(),
+    };
+    missing.map(note).collect()
 }
 
 fn axes(fields: &FieldEvaluation, columns: &[ResidualTable]) -> Vec<FieldAxisErrors> {

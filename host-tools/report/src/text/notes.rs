@@ -52,6 +52,9 @@ pub fn text(note: &Note) -> String {
             "{estimates} estimates lack the compensation of an effect, because its input column was not recorded; effects of the model: {}",
             effects.join(", ")
         ),
+        Note::EffectWithoutColumn { effect, column } => format!(
+            "these recordings have no column {column}: they are predicted without the model's effect {effect}, and its error is in what follows"
+        ),
         Note::ConstantCovariate { column, effect, record } => {
             let advice = record.map_or_else(String::new, |record| format!(". Record: {record}"));
             format!("{column} is constant in these recordings: {effect} is not identifiable{advice}")

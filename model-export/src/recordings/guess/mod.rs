@@ -597,9 +597,16 @@ impl Draft {
             .or_else(|| named().next())
             .or_else(|| ascending().find(|column| column.quantity == Quantity::Unknown))
         else {
-            let advice = "no column increases in every row, as a clock does: add one, or sort the rows by time and remove \
-                          duplicates"
-                .to_owned();
+            let mut texts = table.columns.iter().filter(|column| !column.is_numeric());
+            let advice = match texts.find(|column| column.quantity == Quantity::Time) {
+                Some(dates) => format!(
+                    "the times in {} are text; write them as numbers, such as seconds since the first row",
+                    dates.name
+                ),
+                None => "no column increases in every row, as a clock does: add one, or sort the rows by time and remove \
+                         duplicates"
+                    .to_owned(),
+            };
             return Err(ErrorKind::MissingColumn { advice }
                 .at(Location::file(&table.path).line(1).column("clock")));
         };
