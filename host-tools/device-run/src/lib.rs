@@ -26,7 +26,7 @@ use model_export::inverse::compensation::OwnedCompensation;
 use model_export::inverse::grbf::Grbf;
 use model_export::inverse::quantise::TableSet;
 use model_export::recordings::DataError;
-use model_export::recordings::columns::{ChannelLayout, HallColumn};
+use model_export::recordings::columns::ChannelLayout;
 use model_export::recordings::csv_table::GAP_STEPS;
 use model_export::recordings::description::NominalDesign;
 use model_export::recordings::stream::{RawRow, RawStream};
@@ -151,8 +151,6 @@ pub struct RecordedRows {
     is_slower: bool,
     /// Recorded rows for each device sample, at least one.
     rows_per_tick: usize,
-    /// Channels that are held instead of interpolated: angles, which wrap.
-    held: Vec<bool>,
     last: Option<RawRow>,
     /// Rows to return next, and whether they were recorded.
     pending: VecDeque<(RawRow, bool)>,
@@ -168,7 +166,6 @@ impl RecordedRows {
         gauss_per_lsb: f64,
     ) -> Self {
         let channels = InputChannels::find(stream.layout(), numbers, design, gauss_per_lsb);
-        let is_angle = |column: &HallColumn| matches!(column, HallColumn::Covariate { name } if name.ends_with("_rad"));
         let ratio = stream.period_us() / TICK_US;
         // The cast saturates, and the clock of a single row has no period.
         let rows_per_tick = if ratio > 0.0 { (1.0 / ratio).round() as usize } else { 1 };
@@ -176,7 +173,6 @@ impl RecordedRows {
             channels,
             is_slower: ratio.round() > 1.0,
             rows_per_tick: rows_per_tick.max(1),
-            held: stream.layout().hall.iter().map(is_angle).collect(),
             last: None,
             pending: VecDeque::new(),
             at_reference_row: false,
@@ -202,7 +198,7 @@ impl RecordedRows {
                 let is_gap = step_us > GAP_STEPS * self.stream.period_us();
                 let ticks = if is_gap { 1 } else { (step_us / TICK_US).round() as usize };
                 for tick in 1..ticks {
-                    let between = self.between(last, &row, tick as f64 / ticks as f64);
+                    let between = Self::between(last, &row, tick as f64 / ticks as f64);
                     self.pending.push_back((between, false));
                 }
             }
@@ -213,14 +209,12 @@ impl RecordedRows {
     }
 
     /// A row at this share of the time between two; without forces, since it is not compared with them.
-    fn between(&self, from: &RawRow, to: &RawRow, share: f64) -> RawRow {
-        let channels = from.hall.iter().zip(&to.hall).zip(&self.held);
-        let value = |((from, to), is_held): ((&f64, &f64), &bool)| {
-            if *is_held { *from } else { from + share * (to - from) }
-        };
+    fn between(from: &RawRow, to: &RawRow, share: f64) -> RawRow {
+        // Angles are unwrapped.
+        let value = |(from, to): (&f64, &f64)| from + share * (to - from);
         RawRow {
             time_s: from.time_s + share * (to.time_s - from.time_s),
-            hall: channels.map(value).collect(),
+            hall: from.hall.iter().zip(&to.hall).map(value).collect(),
             forces: vec![f64::NAN; from.forces.len()],
         }
     }

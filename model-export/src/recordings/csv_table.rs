@@ -185,7 +185,41 @@ pub fn column_names(header: &csv::ByteRecord) -> Vec<String> {
 
 /// Number in a cell, finite or not; `None` for text.
 pub fn number(cell: &[u8]) -> Option<f64> {
-    std::str::from_utf8(cell.trim_ascii()).ok()?.parse().ok()
+    plain_decimal(cell).or_else(|| std::str::from_utf8(cell.trim_ascii()).ok()?.parse().ok())
+}
+
+/// Digits of which every number is exact.
+const EXACT_DIGITS: usize = 15;
+/// Exact powers of ten.
+const POWERS: [f64; EXACT_DIGITS + 1] =
+    [1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15];
+
+/// Value of a few digits with or without a point, as nearly all cells are; `None` for all else. Digits and power of ten are
+/// exact, so that their quotient is the nearest number, which `parse` finds too.
+fn plain_decimal(cell: &[u8]) -> Option<f64> {
+    let (is_negative, digits) = match cell {
+        [b'-', rest @ ..] => (true, rest),
+        all => (false, all),
+    };
+    let (mut value, mut count, mut point) = (0_u64, 0, None);
+    for byte in digits {
+        match byte {
+            b'0'..=b'9' => {
+                value = 10 * value + u64::from(byte - b'0');
+                count += 1;
+                if count > EXACT_DIGITS {
+                    return None;
+                }
+            }
+            b'.' if point.is_none() => point = Some(count),
+            _ => return None,
+        }
+    }
+    if count == 0 {
+        return None;
+    }
+    let size = value as f64 / POWERS[count - point.unwrap_or(count)];
+    Some(if is_negative { -size } else { size })
 }
 
 /// An open table. Memory use is independent of the length of the file.
@@ -528,6 +562,17 @@ pub(super) fn missing_clock(table: &CsvTable) -> DataError {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn cells_are_the_numbers_that_the_standard_library_reads(
+            text in "-?[0-9]{0,17}[.]?[0-9]{0,17}|[-+0-9.eEna ]{0,8}",
+        ) {
+            let expected = text.trim().parse::<f64>().ok().map(f64::to_bits);
+            prop_assert_eq!(number(text.as_bytes()).map(f64::to_bits), expected, "{}", text);
+        }
+    }
 
     #[test]
     fn errors_have_the_line_of_the_file_whatever_ends_it() {

@@ -100,11 +100,12 @@ impl Selection {
         Ok(())
     }
 
-    /// After a refit: removes the last formulas and steps that do not reduce the error of all rows, and sets the gains of the
-    /// others to those on all rows. An earlier step may raise the error that a later one then lowers.
+    /// After a refit: removes the last formulas and steps that do not reduce the error of all rows, or that leave one as large as
+    /// without any, and sets the gains of the others to those on all rows. An earlier step may raise the error that a later one
+    /// then lowers.
     pub fn confirm(&mut self, formulas: &mut Vec<DiscoveredFormula>) {
         while let [.., before, last] = self.stages.as_slice()
-            && last.gain(before) <= MIN_GAIN
+            && (last.gain(before) <= MIN_GAIN || last.gain(&self.stages[0]) <= MIN_GAIN)
         {
             self.stages.pop();
             if formulas.pop().is_none() {
