@@ -176,8 +176,7 @@ impl BaseModel for PolynomialBase {
         let basis = model.basis();
         Box::new(move |state| {
             let clean = model.combine(&basis.values(&Self::forces(&self.axes, state)));
-            crate::physics::response::reading_of(clean + state.external_g, Vector3::zeros(), state)
-                .field_g
+            crate::physics::response::field_of(clean + state.external_g, Vector3::zeros(), state)
         })
     }
 

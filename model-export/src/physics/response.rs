@@ -79,13 +79,11 @@ pub(crate) fn reading_of(
     bias_g: Vector3<f64>,
     state: &PhysicalState,
 ) -> Reading {
-    let turned = at_element_g + state.rotation_rad.cross(&at_element_g);
-    let linear = turned.component_mul(&state.gain) + bias_g + state.offset_g;
-    let loss = linear.map(|b| (b / COMPRESSION_REFERENCE_G).powi(2));
+    let (turned, linear, loss) = stages_of(at_element_g, bias_g, state);
     let per_offset = Matrix3::from_diagonal(&loss.map(|s| 1.0 - 3.0 * state.compression * s));
     let per_turned = per_offset * Matrix3::from_diagonal(&state.gain);
     Reading {
-        field_g: linear.zip_map(&loss, |b, s| b * (1.0 - state.compression * s)),
+        field_g: compressed(linear, loss, state),
         per_field: per_turned * (Matrix3::identity() + state.rotation_rad.cross_matrix()),
         per_offset,
         per_gain: per_offset * turned,
@@ -93,6 +91,32 @@ pub(crate) fn reading_of(
         per_rotation: -per_turned * at_element_g.cross_matrix(),
         per_compression: -linear.component_mul(&loss),
     }
+}
+
+/// The field of [`reading_of`] alone.
+pub(crate) fn field_of(
+    at_element_g: Vector3<f64>,
+    bias_g: Vector3<f64>,
+    state: &PhysicalState,
+) -> Vector3<f64> {
+    let (_, linear, loss) = stages_of(at_element_g, bias_g, state);
+    compressed(linear, loss, state)
+}
+
+/// Field after the rotation, after gain and offsets, and its relative loss per compression.
+fn stages_of(
+    at_element_g: Vector3<f64>,
+    bias_g: Vector3<f64>,
+    state: &PhysicalState,
+) -> (Vector3<f64>, Vector3<f64>, Vector3<f64>) {
+    let turned = at_element_g + state.rotation_rad.cross(&at_element_g);
+    let linear = turned.component_mul(&state.gain) + bias_g + state.offset_g;
+    let loss = linear.map(|b| (b / COMPRESSION_REFERENCE_G).powi(2));
+    (turned, linear, loss)
+}
+
+fn compressed(linear: Vector3<f64>, loss: Vector3<f64>, state: &PhysicalState) -> Vector3<f64> {
+    linear.zip_map(&loss, |b, s| b * (1.0 - state.compression * s))
 }
 
 /// Field along one axis in gauss at which [`PhysicalState::compression`] is specified.

@@ -7,7 +7,7 @@
 use nalgebra::{Rotation3, Vector3};
 
 use crate::physics::magnet::{Magnet, Magnetisation};
-use crate::physics::response::{FieldResponse, PhysicalState, reading_of};
+use crate::physics::response::{FieldResponse, PhysicalState, field_of, reading_of};
 use crate::recordings::description::{MagnetAxis, NominalDesign};
 
 /// Weight of the gap axis in the inversion from field to forces, relative to the axes in the plane of motion:
@@ -87,7 +87,7 @@ impl ForwardModel {
         let turn = self.magnet_rotation(frames, state);
         let unit_g = turn * self.magnet.unit_field(turn.inverse() * self.element_mm(state));
         let at_element = frames.element * (unit_g * self.strength_t(state) + state.external_g);
-        reading_of(at_element, self.bias_g, state).field_g
+        field_of(at_element, self.bias_g, state)
     }
 
     /// Reading and derivatives at a displacement of the magnet in mm.

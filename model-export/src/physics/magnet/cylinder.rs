@@ -33,7 +33,7 @@ impl Cylinder {
     fn avoid_edge(&self, at_mm: Vector3<f64>) -> Vector3<f64> {
         const OFFSET: f64 = 1e-12;
         let radius_mm = 0.5 * self.diameter_mm;
-        let distance_mm = at_mm.x.hypot(at_mm.y) - radius_mm;
+        let distance_mm = radius(&at_mm) - radius_mm;
         if distance_mm.abs() < OFFSET * radius_mm {
             Vector3::new(at_mm.x * (1.0 - OFFSET), at_mm.y * (1.0 - OFFSET), at_mm.z)
         } else {
@@ -85,7 +85,7 @@ impl Cylinder {
         let field = self.unit_field(at_mm);
         let along = self.axial_derivative(at_mm);
         let (x, y) = (at_mm.x, at_mm.y);
-        let radius = x.hypot(y);
+        let radius = radius(&at_mm);
         let dbz_dz = along.z;
         if radius < 1e-9 {
             let across = -0.5 * dbz_dz;
@@ -109,6 +109,11 @@ impl Cylinder {
         );
         (field, gradient)
     }
+}
+
+/// Distance from the axis. (`hypot` is not the same on every system, and takes longer.)
+fn radius(at: &Vector3<f64>) -> f64 {
+    (at.x * at.x + at.y * at.y).sqrt()
 }
 
 /// Step of the central differences in mm. At 2 mm from the nearest edge the relative error is of the order of
