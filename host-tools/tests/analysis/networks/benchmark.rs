@@ -85,6 +85,11 @@ fn every_variant_has_rows_that_match_replay() {
                 ("fixed_tared_rmse_n", "tared_rmse_n"),
                 ("rmse_n", "float_rmse_n"),
             ] {
+                // `replay` evaluates floating point for the model alone.
+                if variant == "ideal_nominal" && known == "float_rmse_n" {
+                    assert!(other.get(known).is_none(), "{other}");
+                    continue;
+                }
                 let (own, other) = (number(own, key), number(other, known));
                 assert!((own - other).abs() < 2e-3, "{variant} {axis} {key}: {own}, {other}");
             }
