@@ -171,8 +171,8 @@ class Campaign:
             _write_csv(place / "hall.csv", hall)
             _write_csv(place / "force.csv", force, may_be_empty=True)
             (place / "recording.toml").write_text(f"start_s = {start_s}\n{written}\n")
-            clock = hall.get("t_us", ())
-            start_s += 1e-6 * float(clock[-1] - clock[0]) if len(clock) else 0.0
+            clock = hall.get("t_us")
+            start_s += 1e-6 * float(clock[-1] - clock[0]) if clock is not None and len(clock) else 0.0
         with renamed_places(root, "recordings", temporary is not None):
             read = cls.read(root)
         return cls(read.path, read.sensors, read.recordings, read.notes, temporary)
