@@ -192,6 +192,6 @@ def renamed_places(root: Path, name: str, is_temporary: bool) -> Iterator[None]:
         text = re.sub(place + r"(?:[/\\]recording\.toml(?:, line \d+)?)?()()", element, text)
         text = re.sub(r"in recording\.toml as `(\w+) = ([^`]*)`", r"by the argument \1=\2", text.replace(str(root), name))
         error.args = (text,)
-        if is_temporary:
+        if is_temporary and error.file is not None and error.file.is_relative_to(root):
             error.file = error.line = None
         raise

@@ -210,8 +210,14 @@ def _with_design(mapping: Path, design: Mapping[str, Any] | None) -> Iterator[Pa
         try:
             yield copy
         except _magpie.MagpieError as error:
-            error.args = (str(error).replace(str(copy), str(mapping)),)
-            error.file = mapping if error.file == copy else error.file
+            message = str(error)
+            if error.file == copy:
+                error.file = mapping
+                if error.line is not None and error.line > text.count("\n") + 1:
+                    # It is not of the file.
+                    message = message.replace(f"{copy}, line {error.line}", "argument design")
+                    error.file = error.line = None
+            error.args = (message.replace(str(copy), str(mapping)),)
             raise
 
 

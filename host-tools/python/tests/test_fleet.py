@@ -2,6 +2,7 @@
 
 import gzip
 import os
+import shutil
 import signal
 
 import fsspec
@@ -110,9 +111,8 @@ def test_grippers_that_differ_are_named(campaigns, tmp_path):
 
 def test_few_grippers_are_not_called_without_outliers(campaigns, tmp_path, capsys):
     few = tmp_path / "few"
-    few.mkdir()
     for name in ("g00", "g01"):
-        (few / name).symlink_to(campaigns / name)
+        shutil.copytree(campaigns / name, few / name)
     fleet.main([str(few), "-o", str(tmp_path / "out"), "--workers", "0"])
     printed, page = capsys.readouterr().out, (tmp_path / "out" / "fleet.html").read_text()
     for text in (printed, page):
