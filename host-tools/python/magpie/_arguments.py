@@ -189,7 +189,9 @@ def renamed_places(root: Path, name: str, is_temporary: bool) -> Iterator[None]:
     except MagpieError as error:
         place = re.escape(str(root)) + r"[/\\](\d+)"
         text = re.sub(place + r"[/\\](hall|force)\.csv(?:\.gz)?(?:, line (\d+))?", element, str(error))
-        text = re.sub(place + r"(?:[/\\]recording\.toml(?:, line \d+)?)?()()", element, text)
+        # A line is where the syntax or the keys are wrong, which only those of a design can be.
+        text = re.sub(place + r"[/\\]recording\.toml, line \d+", "argument design", text)
+        text = re.sub(place + r"(?:[/\\]recording\.toml)?()()", element, text)
         text = re.sub(r"in recording\.toml as `(\w+) = ([^`]*)`", r"by the argument \1=\2", text.replace(str(root), name))
         error.args = (text,)
         if is_temporary and error.file is not None and error.file.is_relative_to(root):

@@ -198,15 +198,16 @@ def _new_folder(folder: PathLike | None) -> tuple[tempfile.TemporaryDirectory | 
 @contextlib.contextmanager
 def _with_design(mapping: Path, design: Mapping[str, Any] | None) -> Iterator[Path]:
     """The mapping, or a copy with this design, which errors do not name."""
-    if design is None:
+    # What is no file is an error of the import.
+    if design is None or not mapping.is_file():
         yield mapping
         return
-    text = mapping.read_text()
+    text = mapping.read_text(encoding="utf-8")
     if re.search(r"^\s*(\[\s*design\b|design\s*[.=])", text, re.MULTILINE):
         raise input_error(f"design: {mapping} has a table [design] already; leave one of the two out")
     with tempfile.TemporaryDirectory(prefix="magpie-") as folder:
         copy = Path(folder) / mapping.name
-        copy.write_text(f"{text}\n{design_table(design)}")
+        copy.write_text(f"{text}\n{design_table(design)}", encoding="utf-8")
         try:
             yield copy
         except _magpie.MagpieError as error:

@@ -244,7 +244,7 @@ class Edit(_Result):
         before, after = (self.data[side]["held_out_rms_g"] for side in ("before", "after"))
         field_error = f"Error of the field: {before:.4f} G before, {after:.4f} G after (noise {self.data['floor_g']:.4f} G)"
         if self.force is None:
-            forces = ["Error of the forces: none, for the board cannot compute them with this model"]
+            forces = ["Error of the forces: not available, because the board cannot compute them with this model"]
         else:
             forces = [f"Error of the forces {when}: {error}" for when, error in zip(("before", "after"), self.force)]
         return "\n".join([self.data["verdict"], field_error, *forces, *(f"Note: {note}" for note in self.notes)])

@@ -25,8 +25,12 @@ create_exception!(
     "Input that cannot be used, with the remedy. Attributes: file, line and column where known (else None), notes."
 );
 
-/// Options of the commands as arguments of the functions; the first that matches.
-const ARGUMENTS: [(&str, &str); 15] = [
+/// Texts of the commands, with options, and the same with arguments of the functions; longer ones first.
+const ARGUMENTS: [(&str, &str); 16] = [
+    (
+        "add it to recording.toml or to the mapping of the import",
+        "give design= to Campaign.from_arrays or Campaign.from_files, or add it to recording.toml or to the mapping of the import",
+    ),
     ("--base polynomial", "base=\"polynomial\""),
     ("--delay-ms ", "delay_ms="),
     ("--delay-ms", "delay_ms"),

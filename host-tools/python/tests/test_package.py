@@ -76,7 +76,7 @@ def test_an_edit_that_the_board_cannot_compute_states_why(ripple):
     polynomial = magpie.fit(ripple, base="polynomial").model
     edit = magpie.add(polynomial, ripple, exprs="ripple: bz_g = a*sin(motor_angle_rad)")
     assert edit.force is None
-    assert "Error of the forces: none" in str(edit) and "G before, " in str(edit)
+    assert "Error of the forces: not available" in str(edit) and "G before, " in str(edit)
 
 
 def test_device_over_arrays_has_the_bits_of_the_device_on_the_file(ripple, improved):
@@ -231,6 +231,7 @@ ARGUMENTS = {
     "a text of covariates without a unit": (lambda hall, force: {"covariates": "foo"}, magpie.MagpieError, r"^recordings\[0\], column covariates: .*foo"),
     "starts": (lambda hall, force: {"starts_s": []}, magpie.MagpieError, "starts_s: there are 0 values for 1 recordings"),
     "a key of the design": (lambda hall, force: {"design": {"gap_mm": None}}, TypeError, "design.gap_mm: a number"),
+    "a design without a magnet": (lambda hall, force: {"design": {"gap_mm": 1.5}}, magpie.MagpieError, "^argument design: .*missing field"),
     "a value of the design": (lambda hall, force: {"design": {**DESIGN, "gap_mm": -1.0}}, magpie.MagpieError, r"^recordings\[0\].*design"),
     "the design": (lambda hall, force: {"design": "design.toml"}, TypeError, "design: a mapping is needed"),
 }
