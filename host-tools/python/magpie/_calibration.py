@@ -2,16 +2,34 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import json
-import os
+import re
 import tempfile
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from magpie import _magpie
+from magpie._arguments import (
+    PathLike,
+    columns,
+    design_table,
+    effect_names,
+    first_time,
+    input_error,
+    paths,
+    ranges_of,
+    renamed_places,
+    seed_number,
+    texts,
+    whole,
+    with_microseconds,
+)
 from magpie._results import (
     Comparison,
     Diagnosis,
@@ -29,26 +47,35 @@ from magpie._results import (
     html_table,
 )
 
-PathLike = str | os.PathLike[str]
+def _write_csv(path: Path, table: Mapping[str, np.ndarray], may_be_empty: bool = False) -> None:
+    """Writes a table; where its cells may be empty, NaN is an empty cell, except in its clock."""
 
+    def cells(name: str, column: np.ndarray) -> list[Any]:
+        values = column.tolist()
+        return ["" if value != value else value for value in values] if may_be_empty and name != "t_us" else values
 
-def _columns(table: Any) -> dict[str, Sequence[float]]:
-    """Columns by name, of a DataFrame or a mapping."""
-    if hasattr(table, "columns") and hasattr(table, "to_numpy"):
-        return {str(name): table[name].to_numpy() for name in table.columns}
-    return dict(table)
-
-
-def _write_csv(path: Path, table: Any) -> None:
-    columns = _columns(table)
-    lengths = {name: len(column) for name, column in columns.items()}
-    if len(set(lengths.values())) > 1:
-        raise ValueError(f"{path.name}: columns of different length: {lengths}")
     with path.open("w", newline="") as file:
         writer = csv.writer(file)
-        writer.writerow(columns)
-        # repr of a float has all of its digits.
-        writer.writerows([value.item() if hasattr(value, "item") else value for value in row] for row in zip(*columns.values()))
+        writer.writerow(table)
+        # A float is written with all of its digits.
+        writer.writerows(zip(*(cells(name, column) for name, column in table.items())))
+
+
+def _tables(number: int, recording: Any) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """The two tables of a recording of `Campaign.from_arrays`, counted from 0."""
+    name = f"recordings[{number}]"
+    if not isinstance(recording, (tuple, list)) or len(recording) != 2:
+        text = f"{name}: a pair of tables (hall, force) is needed, not {type(recording).__name__}; recordings is a list of such pairs"
+        raise TypeError(text)
+    names = (f"{name}, hall", f"{name}, force")
+    hall, force = (columns(name, table) for name, table in zip(names, recording))
+    origin = first_time(hall)
+    hall, force = (with_microseconds(name, table, origin) for name, table in zip(names, (hall, force)))
+    for name, table in zip(names, (hall, force)):
+        lengths = {column: len(values) for column, values in table.items()}
+        if len(set(lengths.values())) > 1:
+            raise input_error(f"{name}: columns of different length: {lengths}")
+    return hall, force
 
 
 @dataclass(frozen=True)
@@ -58,7 +85,7 @@ class Campaign:
     path: Path
     sensors: list[int]
     recordings: list[dict[str, Any]]
-    """Folder, rows, seconds and covariates of each."""
+    """Of each: ``folder``, ``rows`` (of the reference, with the board's values at their times), ``seconds`` and ``covariates``."""
     notes: list[str]
     _folder: tempfile.TemporaryDirectory | None = field(default=None, repr=False, compare=False)
 
@@ -74,21 +101,24 @@ class Campaign:
     @classmethod
     def from_files(
         cls,
-        sources: Sequence[PathLike],
+        sources: PathLike | Sequence[PathLike],
         mapping: PathLike,
         *,
         folder: PathLike | None = None,
+        design: Mapping[str, Any] | None = None,
     ) -> Campaign:
         """Imports tables of other loggers, MCAP files or ROS 2 bags, one file (or folder) for each recording, as the mapping says.
 
-        `guess_mapping` proposes a mapping. Without a `folder` (which must not exist) the recordings live in a temporary one, as long
-        as this object.
+        `guess_mapping` proposes a mapping. ``design`` as in `from_arrays`, in place of a table ``[design]`` in the mapping. Without a
+        `folder` (which must not exist) the recordings live in a temporary one, as long as this object.
         """
-        temporary, folder = _new_folder(folder)
-        data = json.loads(_magpie.import_recordings(Path(mapping), [Path(source) for source in sources], folder))
+        files = paths("sources", sources)
+        temporary, root = _new_folder(folder)
+        with renamed_places(root, "sources", temporary is not None), _with_design(Path(mapping), design) as complete:
+            data = json.loads(_magpie.import_recordings(complete, files, root))
+            read = cls.read(root)
         refused = data["fit_error"]
         notes = data["notes"] + ([f"a fit will refuse these recordings: {refused}"] if refused else [])
-        read = cls.read(folder)
         return cls(read.path, read.sensors, read.recordings, notes, temporary)
 
     @classmethod
@@ -99,44 +129,52 @@ class Campaign:
         folder: PathLike | None = None,
         design: Mapping[str, Any] | None = None,
         starts_s: Sequence[float] | None = None,
-        covariates: Sequence[str] = (),
+        covariates: str | Sequence[str] = (),
         range_gauss: float | None = None,
         gauss_per_lsb: float | None = None,
         description: str = "",
     ) -> Campaign:
-        """A campaign of pairs of tables: the board's rows and the reference's, each a DataFrame or a mapping of columns.
+        """A campaign of pairs of tables: the board's rows and the reference's, each a DataFrame, a table of Arrow or a mapping of
+        columns.
 
         Columns have the names of the files: ``t_us`` and ``s0_x_gauss`` (or ``s0_x_lsb`` with `gauss_per_lsb`), ``s0_temp_c``,
         covariates as ``opening_mm``, further ones named in `covariates` with a unit; ``t_us``, ``f0_x_n`` and ``f0_z_n`` of the
-        reference. ``design`` has the keys of ``[design]`` (gap_mm, stiffness_x_n_per_mm, ..., magnet); without it, fit with
+        reference, NaN where a force was not measured. ``t_us`` are microseconds of one clock, or dates (datetime64) in both tables.
+
+        ``design`` has the keys of ``[design]`` (gap_mm, stiffness_x_n_per_mm, ..., magnet); without it, fit with
         ``base="polynomial"``. ``starts_s``: start of each recording in seconds since the campaign began (default: each begins at
         the end of the one before). ``range_gauss``: full scale of the sensor; samples there are left out as saturated. Without
         a `folder` the files live in a temporary one, as long as this object.
         """
+        tables = [_tables(number, recording) for number, recording in enumerate(recordings)]
+        if not tables:
+            raise input_error("recordings: the list is empty; give at least one pair of tables (hall, force)")
+        starts = None if starts_s is None else [float(start) for start in starts_s]
+        if starts is not None and len(starts) != len(tables):
+            raise input_error(f"starts_s: there are {len(starts)} values for {len(tables)} recordings; give one for each")
+        lines = ["format = 1", f"description = {json.dumps(description)}"]
+        if covariates:
+            lines.append(f"covariates = {json.dumps(texts('covariates', covariates))}")
+        if range_gauss is not None:
+            lines.append(f"range_gauss = {float(range_gauss)}")
+        if gauss_per_lsb is not None:
+            lines.append(f"gauss_per_lsb = {float(gauss_per_lsb)}")
+        written = "\n".join([*lines, "" if design is None else design_table(design)])
         temporary, root = _new_folder(folder)
         root.mkdir(parents=True)
         start_s = 0.0
-        for number, (hall, force) in enumerate(recordings, start=1):
-            if starts_s is not None:
-                start_s = float(starts_s[number - 1])
+        for number, (hall, force) in enumerate(tables, start=1):
+            if starts is not None:
+                start_s = starts[number - 1]
             place = root / str(number)
             place.mkdir()
             _write_csv(place / "hall.csv", hall)
-            _write_csv(place / "force.csv", force)
-            lines = ["format = 1", f"start_s = {start_s}", f"description = {json.dumps(description)}"]
-            if covariates:
-                lines.append(f"covariates = {json.dumps(list(covariates))}")
-            if range_gauss is not None:
-                lines.append(f"range_gauss = {float(range_gauss)}")
-            if gauss_per_lsb is not None:
-                lines.append(f"gauss_per_lsb = {float(gauss_per_lsb)}")
-            if design is not None:
-                lines.append("\n[design]")
-                lines += [f"{key} = {_toml(value)}" for key, value in design.items()]
-            (place / "recording.toml").write_text("\n".join(lines) + "\n")
-            clock = _columns(hall).get("t_us", ())
-            start_s += 1e-6 * float(clock[-1] - clock[0]) if len(clock) else 0.0
-        read = cls.read(root)
+            _write_csv(place / "force.csv", force, may_be_empty=True)
+            (place / "recording.toml").write_text(f"start_s = {start_s}\n{written}\n")
+            clock = hall.get("t_us")
+            start_s += 1e-6 * float(clock[-1] - clock[0]) if clock is not None and len(clock) else 0.0
+        with renamed_places(root, "recordings", temporary is not None):
+            read = cls.read(root)
         return cls(read.path, read.sensors, read.recordings, read.notes, temporary)
 
     def __fspath__(self) -> str:
@@ -157,12 +195,31 @@ def _new_folder(folder: PathLike | None) -> tuple[tempfile.TemporaryDirectory | 
     return temporary, Path(temporary.name) / "campaign"
 
 
-def _toml(value: Any) -> str:
-    if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{key} = {_toml(inner)}" for key, inner in value.items()) + " }"
-    if isinstance(value, str):
-        return json.dumps(value)
-    return repr(value)
+@contextlib.contextmanager
+def _with_design(mapping: Path, design: Mapping[str, Any] | None) -> Iterator[Path]:
+    """The mapping, or a copy with this design, which errors do not name."""
+    # What is no file is an error of the import.
+    if design is None or not mapping.is_file():
+        yield mapping
+        return
+    text = mapping.read_text(encoding="utf-8")
+    if re.search(r"^\s*(\[\s*design\b|design\s*[.=])", text, re.MULTILINE):
+        raise input_error(f"design: {mapping} has a table [design] already; leave one of the two out")
+    with tempfile.TemporaryDirectory(prefix="magpie-") as folder:
+        copy = Path(folder) / mapping.name
+        copy.write_text(f"{text}\n{design_table(design)}", encoding="utf-8")
+        try:
+            yield copy
+        except _magpie.MagpieError as error:
+            message = str(error)
+            if error.file == copy:
+                error.file = mapping
+                if error.line is not None and error.line > text.count("\n") + 1:
+                    # It is not of the file.
+                    message = message.replace(f"{copy}, line {error.line}", "argument design")
+                    error.file = error.line = None
+            error.args = (message.replace(str(copy), str(mapping)),)
+            raise
 
 
 def fit(
@@ -176,7 +233,7 @@ def fit(
 ) -> Fit:
     """Fits the base physics: ``"cylinder"``, the exact field of the design's magnet, or ``"polynomial"`` of the forces."""
     model = Model.new(output)
-    data = json.loads(_magpie.fit(Path(campaign), model.path, base, degree, delay_ms, seed))
+    data = json.loads(_magpie.fit(Path(campaign), model.path, base, whole("degree", degree, 8), delay_ms, seed_number(seed)))
     return Fit(data, model, data["held_out_rms_g"], ForceError.of(data["force"]))
 
 
@@ -190,8 +247,8 @@ def compare(
     seed: int = 1,
 ) -> Comparison:
     """Compares a model, and optionally another one on the same rows, with recordings; `report` is an HTML file to write."""
-    paths = [None if path is None else Path(path) for path in (other, report)]
-    data = json.loads(_magpie.compare(Path(model), Path(campaign), *paths, delay_ms, seed))
+    places = [None if path is None else Path(path) for path in (other, report)]
+    data = json.loads(_magpie.compare(Path(model), Path(campaign), *places, delay_ms, seed_number(seed)))
     return Comparison(data, ForceError.of(data.get("force")))
 
 
@@ -199,7 +256,7 @@ def diagnose(
     model: PathLike,
     campaign: PathLike,
     *,
-    exprs: Sequence[str] = (),
+    exprs: str | Sequence[str] = (),
     ranges: Mapping[str, tuple[float, float]] | None = None,
     plan: bool = False,
     progress: Callable[[str, float], Any] | None = None,
@@ -230,15 +287,11 @@ def search_formulas(
 
 
 def _diagnosis(model, campaign, exprs, ranges, plan, catalogue, progress, delay_ms, seed) -> Diagnosis:
-    options = (list(exprs), _ranges(ranges), plan, catalogue, progress, delay_ms, seed)
+    options = (texts("exprs", exprs), ranges_of(ranges), plan, catalogue, progress, delay_ms, seed_number(seed))
     data = json.loads(_magpie.diagnose(Path(model), Path(campaign), *options))
     names = Verdict.__dataclass_fields__
     verdicts = [Verdict(**{name: verdict[name] for name in names}) for verdict in data["verdicts"]]
     return Diagnosis(data, data["accepted"], verdicts, data["at_floor"])
-
-
-def _ranges(ranges: Mapping[str, tuple[float, float]] | None) -> list[tuple[str, float, float]]:
-    return [(name, float(low), float(high)) for name, (low, high) in (ranges or {}).items()]
 
 
 def _edit(model, campaign, output, added, removed, exprs, ranges, delay_ms, seed) -> Edit:
@@ -248,12 +301,12 @@ def _edit(model, campaign, output, added, removed, exprs, ranges, delay_ms, seed
             Path(model),
             Path(campaign),
             new.path,
-            list(added),
-            list(removed),
-            list(exprs),
-            _ranges(ranges),
+            effect_names(added),
+            effect_names(removed),
+            texts("exprs", exprs),
+            ranges_of(ranges),
             delay_ms,
-            seed,
+            seed_number(seed),
         )
     )
     force = data["force"]
@@ -265,7 +318,7 @@ def add(
     model: PathLike,
     campaign: PathLike,
     *effects: str,
-    exprs: Sequence[str] = (),
+    exprs: str | Sequence[str] = (),
     ranges: Mapping[str, tuple[float, float]] | None = None,
     output: PathLike | None = None,
     delay_ms: float = 0.0,
@@ -273,7 +326,7 @@ def add(
 ) -> Edit:
     """Adds effects of the catalogue and formulas, refits, and states the error before and after."""
     if not effects and not exprs:
-        raise ValueError("name an effect (magpie.effects() lists them), or give a formula in exprs")
+        raise input_error("name an effect (magpie.effects() lists them), or give a formula in exprs")
     return _edit(model, campaign, output, effects, (), exprs, ranges, delay_ms, seed)
 
 
@@ -287,7 +340,7 @@ def remove(
 ) -> Edit:
     """Removes effects, refits, and states the error before and after."""
     if not effects:
-        raise ValueError("name an effect of the model")
+        raise input_error("name an effect of the model")
     return _edit(model, campaign, output, (), effects, (), None, delay_ms, seed)
 
 
@@ -330,19 +383,24 @@ def train(
     Inputs are the field components `axes` after the device's compensation, and the model's own force `with_ideal`; outputs are the
     force, or the residual of the model's (`of_residual`); a network of two layers of `hidden` units for each sensor, or one for all
     (`shared`). The recording `hold_out` (counted from 1; default: the last) selects the epoch. ``quick``: smaller networks and fewer
-    epochs; other defaults are those of the command. ``checkpoint``: file in which each epoch is saved, and from which a training that was ended goes on. Ctrl-C, or an
-    exception in ``progress``, ends the training after an epoch.
+    epochs; other defaults are those of the command. ``checkpoint``: file in which each epoch is saved, and from which a
+    training that was ended goes on. Ctrl-C, or an exception in ``progress``, ends the training after an epoch.
     """
     network = Network.new(output)
+    hidden, hold_out, epochs, patience = (
+        whole(name, value)
+        for name, value in (("hidden", hidden), ("hold_out", hold_out), ("epochs", epochs), ("patience", patience))
+    )
     options = (quick, hidden, axes, with_ideal, of_residual, shared, hold_out, epochs, patience, rate, zero_weight)
     saved = None if checkpoint is None else Path(checkpoint)
-    data = json.loads(_magpie.train(Path(model), Path(campaign), network.path, *options, saved, progress, delay_ms, seed))
+    rest = (saved, progress, delay_ms, seed_number(seed))
+    data = json.loads(_magpie.train(Path(model), Path(campaign), network.path, *options, *rest))
     return Training(data, network)
 
 
-def guess_mapping(sources: Sequence[PathLike], output: PathLike) -> Proposal:
+def guess_mapping(sources: PathLike | Sequence[PathLike], output: PathLike) -> Proposal:
     """Proposes a mapping from the names and values of files (or folders of two files, or bags), and writes it, to be checked."""
-    data = json.loads(_magpie.guess_mapping([Path(source) for source in sources], Path(output)))
+    data = json.loads(_magpie.guess_mapping(paths("sources", sources), Path(output)))
     return Proposal(data, Path(output))
 
 
@@ -371,19 +429,45 @@ def simulate(
     seconds: float | None = None,
     sensors: int | None = None,
     scatter: float | None = None,
+    random_effects: int | None = None,
+    strength: float | None = None,
+    load: float | None = None,
+    warmer: float | None = None,
+    noise: str | None = None,
+    field_noise: float | None = None,
+    reference_noise: float | None = None,
+    plan: PathLike | None = None,
     seed: int = 1,
 ) -> Simulation:
     """Writes a campaign of a simulated gripper of MAGPIE's design, or of the design file `design`; effects as ``"creep"`` or
-    ``"creep=3"``.
+    ``"creep=3"`` (``"hysteresis=2.5:both"``: of friction, in which flexures).
+
+    Effects are those of the catalogue (`effects`), and some beyond it, which ``cargo magpie simulate --help`` and the error of an
+    unknown name list. ``random_effects``: so many effects of the catalogue that the seed draws, named in the truth file alone, to
+    test a diagnosis blind; ``strength`` is a factor on their typical magnitudes.
+
+    ``programme``: ``"bench"`` (loads, opening, current, temperature and orientation vary; the default), ``"still"`` (constant
+    opening and motor current), ``"level"`` (constant orientation), ``"isothermal"``, ``"same-warm-up"`` (in every recording) or
+    ``"single-sine"`` (both forces a sine of 0.5 Hz). ``plan``: file of a plan of more recordings, as ``cargo magpie diagnose --plan``
+    writes it.
+
+    ``scatter`` and ``load`` are factors on the tolerances of manufacturing and on every load, ``warmer`` an offset of the
+    temperature in kelvin. ``noise`` of the field: ``"white"``, ``"ar1"`` or ``"walk"``; ``field_noise`` in gauss and
+    ``reference_noise`` in newtons are the white noise of one sample.
 
     The true parameters are in a file outside of the campaign (default: next to it). Other defaults are those of the command.
     """
-    places = [None if path is None else Path(path) for path in (truth, design)]
-    settings = (programme, recordings, seconds, sensors, scatter, seed)
-    data = json.loads(_magpie.simulate(Path(output), *places, list(effects), *settings))
+    places = [None if path is None else Path(path) for path in (truth, design, plan)]
+    sizes = (whole("recordings", recordings), seconds, whole("sensors", sensors), scatter)
+    drawn = (whole("random_effects", random_effects), strength)
+    conditions = (load, warmer, noise, field_noise, reference_noise)
+    settings = (programme, *sizes, *drawn, *conditions, seed_number(seed))
+    data = json.loads(_magpie.simulate(Path(output), *places, effect_names(effects), *settings))
     return Simulation(data, Path(data["campaign"]), Path(data["truth"]))
 
 
 def effects() -> list[dict[str, Any]]:
-    """The catalogue of physical effects."""
+    """The catalogue of physical effects, a dictionary of each: its name ``effect``, its ``physics``, ``equation`` and ``parameters``,
+    the columns that it ``needs``, its magnitude (``size``), what to ``record`` to identify it, the effects with which it may be
+    ``confused_with``, and how the board compensates it (``undone``)."""
     return json.loads(_magpie.effects())

@@ -5,12 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from magpie import _magpie
-from magpie._calibration import PathLike, _columns
+from magpie._arguments import PathLike, columns, with_microseconds
+
+if TYPE_CHECKING:
+    import pandas
+    import pyarrow
 
 
 @dataclass(frozen=True)
@@ -29,14 +33,14 @@ class Estimates:
     is_disturbed: np.ndarray
     """True while an external magnet is detected. Shape (rows,)."""
 
-    def to_pandas(self):
+    def to_pandas(self) -> pandas.DataFrame:
         """A DataFrame with a column for each force (``f0_x_n``), its standard deviation by a network (``f0_x_sigma_n``) and its
         validity (``f0_valid``)."""
         import pandas
 
         return pandas.DataFrame(self._columns())
 
-    def to_arrow(self):
+    def to_arrow(self) -> pyarrow.Table:
         """The same columns as a table of Arrow (``pyarrow.Table``)."""
         import pyarrow
 
@@ -54,7 +58,7 @@ class Estimates:
         columns["disturbed"] = self.is_disturbed
         return columns
 
-    def plot(self, axes=None):
+    def plot(self, axes: Any = None) -> Any:
         """Forces over time, lateral above longitudinal; returns the axes of matplotlib."""
         if axes is None:
             import matplotlib.pyplot as plt
@@ -94,8 +98,9 @@ class Device:
         Fields as ``s0_x_gauss`` or counts as ``s0_x_lsb``; covariates that the model's effects need, as ``opening_mm``, must be
         given in every row.
         """
-        columns = {name: np.asarray(column, dtype=float) for name, column in _columns(rows).items()}
-        return self._estimates(self._device.rows(columns))
+        # Rows continue those of other calls: their dates need one origin.
+        table = with_microseconds("rows", columns("rows", rows), np.datetime64(0, "us"))
+        return self._estimates(self._device.rows({name: column.astype(float) for name, column in table.items()}))
 
     def step(self, row: Mapping[str, float]) -> np.ndarray:
         """Forces in newtons of the next row, shape (sensors, 2); NaN where the estimate is not valid."""

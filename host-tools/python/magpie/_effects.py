@@ -9,12 +9,17 @@ import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from magpie._calibration import Campaign, PathLike, _write_csv, add, diagnose
-from magpie._results import Diagnosis, Edit
+from magpie._arguments import PathLike, input_error
+from magpie._calibration import Campaign, _write_csv, add, diagnose
+from magpie._results import Diagnosis, Edit, html_table
+
+if TYPE_CHECKING:
+    import pandas
+    import pyarrow
 
 Function = Callable[..., np.ndarray]
 
@@ -54,7 +59,8 @@ class Effect:
         values = np.asarray(self.function(columns, **parameters), dtype=float)
         rows = len(columns["t_us"])
         if values.ndim not in (1, 2) or values.shape[0] != rows or not np.isfinite(values).all():
-            raise ValueError(f"{self.name}: the function gave an array of shape {values.shape}; finite values of shape ({rows},) or ({rows}, k) are needed")
+            needed = f"finite values of shape ({rows},) or ({rows}, k) are needed"
+            raise input_error(f"{self.name}: the function gave an array of shape {values.shape}; {needed}")
         return {self._column(i): column for i, column in enumerate(values.reshape(rows, -1).T)}
 
 
@@ -77,9 +83,20 @@ class EffectFit:
         """The verdict on the effect next to those on the catalogue, as of `magpie.diagnose` of the model without it."""
         return diagnose(self._base, self.campaign, exprs=[self.formula], **options)
 
+    def to_pandas(self) -> pandas.DataFrame:
+        """The effects of the model as a DataFrame, as of `Edit`."""
+        return self.edit.to_pandas()
+
+    def to_arrow(self) -> pyarrow.Table:
+        """The same as a table of Arrow."""
+        return self.edit.to_arrow()
+
     def __str__(self) -> str:
         values = ", ".join(f"{name} = {value:.4g}" for name, value in self.parameters.items())
-        return f"{self.edit}{f' ({values})' if values else ''}"
+        return f"{self.edit}\n{values}" if values else str(self.edit)
+
+    def _repr_html_(self) -> str:
+        return html_table(str(self), self.edit.data["effects"])
 
 
 def fit_effect(

@@ -11,7 +11,7 @@ __version__: str
 class MagpieError(ValueError):
     """Input that cannot be used, with the remedy."""
 
-    file: str | None
+    file: Path | None
     line: int | None
     column: str | None
     notes: list[str]
@@ -82,12 +82,20 @@ def simulate(
     output: Path,
     truth: Path | None,
     design: Path | None,
+    plan: Path | None,
     effects: list[str],
     programme: str | None,
     recordings: int | None,
     seconds: float | None,
     sensors: int | None,
     scatter: float | None,
+    random_effects: int | None,
+    strength: float | None,
+    load: float | None,
+    warmer: float | None,
+    noise: str | None,
+    field_noise: float | None,
+    reference_noise: float | None,
     seed: int,
 ) -> str: ...
 def effects() -> str: ...

@@ -12,6 +12,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 if TYPE_CHECKING:
     from typing import Self  # Python 3.11
 
+    import pandas
+    import pyarrow
+
 
 @dataclass(frozen=True)
 class _File:
@@ -105,13 +108,13 @@ class _Result:
     def _rows(self) -> list[dict[str, Any]]:
         raise NotImplementedError
 
-    def to_pandas(self):
+    def to_pandas(self) -> pandas.DataFrame:
         """The main table as a DataFrame."""
         import pandas
 
         return pandas.DataFrame(self._rows())
 
-    def to_arrow(self):
+    def to_arrow(self) -> pyarrow.Table:
         """The main table as a table of Arrow (``pyarrow.Table``)."""
         import pyarrow
 
@@ -177,7 +180,8 @@ class Diagnosis(_Result):
     """Which effects a model does not contain."""
 
     accepted: list[list[str]]
-    """Accepted steps, each one effect or several that these recordings cannot distinguish."""
+    """Accepted steps, each one effect of the catalogue or several that these recordings cannot distinguish; formulas are in
+    `expressions`."""
     verdicts: list[Verdict]
     at_floor: bool
 
@@ -187,11 +191,16 @@ class Diagnosis(_Result):
         return self.data["formulas"]
 
     @property
+    def expressions(self) -> list[str]:
+        """The found formulas as text, for ``exprs`` of `magpie.add`; empty where effects of the catalogue explain everything."""
+        return [effect["expression"] for formula in self.formulas for effect in formula["effects"]]
+
+    @property
     def next(self) -> list[str]:
         """Suggested commands."""
         return self.data["next"]
 
-    def plot(self, axes=None):
+    def plot(self, axes: Any = None) -> Any:
         """Held-out error of the field, in noise floors, over the effects that were added one by one; returns the axes of matplotlib."""
         if axes is None:
             import matplotlib.pyplot as plt
@@ -209,23 +218,36 @@ class Diagnosis(_Result):
     def _rows(self) -> list[dict[str, Any]]:
         return [vars(verdict) for verdict in self.verdicts]
 
+    def __repr__(self) -> str:
+        return f"Diagnosis(accepted={self.accepted}, expressions={self.expressions}, at_floor={self.at_floor})"
+
     def __str__(self) -> str:
-        return self.data["verdict"]
+        return "\n".join([self.data["verdict"], *self.expressions])
 
 
 @dataclass(frozen=True)
 class Edit(_Result):
-    """A model with other effects, before and after."""
+    """A model with other effects, before and after.
+
+    Both are fitted and evaluated anew on the same held-out rows: the folds of the cross-validation are those that the effects before
+    and after need together, so that the errors before may differ from those of `magpie.fit`.
+    """
 
     model: Model
     force: tuple[ForceError, ForceError] | None
-    """Before and after; None where the device cannot compute them."""
+    """Before and after; None where the device cannot compute them: of a polynomial, or for the reason in `notes`."""
 
     def _rows(self) -> list[dict[str, Any]]:
         return self.data["effects"]
 
     def __str__(self) -> str:
-        return self.data["verdict"]
+        before, after = (self.data[side]["held_out_rms_g"] for side in ("before", "after"))
+        field_error = f"Error of the field: {before:.4f} G before, {after:.4f} G after (noise {self.data['floor_g']:.4f} G)"
+        if self.force is None:
+            forces = ["Error of the forces: not available, because the board cannot compute them with this model"]
+        else:
+            forces = [f"Error of the forces {when}: {error}" for when, error in zip(("before", "after"), self.force)]
+        return "\n".join([self.data["verdict"], field_error, *forces, *(f"Note: {note}" for note in self.notes)])
 
 
 @dataclass(frozen=True)

@@ -49,12 +49,14 @@ SCHEMA = pyarrow.schema(
 )
 # Family-wise error probability of the outliers, and of the trends.
 ALPHA = 0.01
-# Effects that are found in fewer of the grippers are outliers of these.
+# Effects that at most this share of the grippers have are outliers of these: one gripper is such a share from 1 / RARE grippers on.
 RARE = 0.05
 # Grippers from which a scatter is estimated.
 FEWEST = 10
 # Residual in noise floors up to which a field has no unusual error.
 USUAL_FLOORS = 1.5
+# Number of names on the axis of a chart.
+MAX_NAMES = 40
 # Of a normal distribution: standard deviation by median absolute deviation.
 MAD = 1.4826
 
@@ -65,6 +67,12 @@ def find_campaigns(address: str) -> list[str]:
     found = files.glob(f"{root.rstrip('/')}/*/*/recording.toml")
     folders = sorted({path.rsplit("/", 2)[0] for path in found})
     return [files.unstrip_protocol(folder) for folder in folders]
+
+
+def is_campaign(address: str) -> bool:
+    """Whether a folder is itself a campaign."""
+    files, root = fsspec.core.url_to_fs(address)
+    return bool(files.glob(f"{root.rstrip('/')}/*/recording.toml"))
 
 
 def _name(address: str) -> str:
@@ -244,10 +252,18 @@ def z_scores(values: numpy.ndarray, std_errors: numpy.ndarray) -> numpy.ndarray:
     return (values - median) / numpy.sqrt(numpy.maximum(production + std_errors**2, 1e-300))
 
 
+def is_tested(table: pandas.DataFrame) -> bool:
+    """Whether there are enough grippers to test for outliers."""
+    return table.campaign.nunique() >= FEWEST
+
+
+NOT_TESTED = f"Fewer than {FEWEST} grippers: not tested for outliers."
+
+
 def outliers(table: pandas.DataFrame) -> pandas.DataFrame:
     """Grippers that differ from the others: parameters, errors, rare effects, and refused recordings.
 
-    Of fewer than ten grippers the problems only: their scatter is not known.
+    Of fewer than ten grippers the problems only: their scatter is not known (`is_tested`).
     """
     found, count = [], table.campaign.nunique()
     parameters = table[(table.kind == "parameter") & numpy.isfinite(table.std_error)]
@@ -276,8 +292,8 @@ def outliers(table: pandas.DataFrame) -> pandas.DataFrame:
 
 
 def common_effects(table: pandas.DataFrame) -> pandas.Series:
-    """Share of the grippers in which each effect was found, the most frequent first."""
-    effects = table[(table.kind == "effect") & table.verdict.isin(["found", "tied"])]
+    """Share of the grippers in which each effect was found, the most frequent first; not counted where it is tied with others."""
+    effects = table[(table.kind == "effect") & (table.verdict == "found")]
     shares = effects.groupby("name").campaign.nunique() / table.campaign.nunique()
     return shares.sort_values(ascending=False)
 
@@ -308,28 +324,36 @@ def page(table: pandas.DataFrame) -> str:
 
     strange, count = outliers(table), table.campaign.nunique()
     parts = [f"<h1>Calibration of {count} grippers</h1>"]
-    for heading, frame in (
-        ("Outliers", strange),
-        ("Drift", trends(table)),
-        ("Effects found, share of the grippers", common_effects(table).to_frame("share")),
+    rare = f"An effect is rare, and an outlier, if at most {RARE:.0%} of the grippers have it: in one gripper, of {1 / RARE:.0f} or more."
+    tied = "Not counted where a gripper's recordings do not distinguish the effect from others (tied)."
+    for heading, frame, note in (
+        ("Outliers", strange, rare if is_tested(table) else NOT_TESTED),
+        ("Drift", trends(table), ""),
+        ("Effects found, share of the grippers", common_effects(table).to_frame("share"), tied),
     ):
-        text = frame.to_html(na_rep="", float_format="{:.4g}".format) if len(frame) else "<p>None.</p>"
-        parts.append(f"<h2>{heading}</h2>{text}")
+        none = "" if note == NOT_TESTED else "<p>None.</p>"
+        text = frame.to_html(na_rep="", float_format="{:.4g}".format) if len(frame) else none
+        parts.append(f"<h2>{heading}</h2>{text}" + (f"<p>{note}</p>" if note else ""))
     parts.append("<h2>Control charts</h2><p>Bars: one standard error. Lines: median and three robust standard deviations.</p>")
     parameters = table[table.kind == "parameter"]
+    names = sorted(parameters.campaign.unique())
+    places = {campaign: place for place, campaign in enumerate(names)}
+    labelled = range(0, len(names), -(-len(names) // MAX_NAMES) or 1)
     for name, group in parameters.groupby("name"):
-        figure = Figure(figsize=(9, 2.6), layout="constrained")
+        figure = Figure(figsize=(9, 3.2), layout="constrained")
         axes = figure.add_subplot()
         for sensor, own in group.groupby("sensor"):
             own = own.sort_values("campaign")
             median = own.value.median()
             limit = 3 * MAD * (own.value - median).abs().median()
-            marks = axes.errorbar(range(len(own)), own.value, own.std_error, fmt=".", ms=4, lw=0.6, label=f"sensor {sensor}")
+            at = own.campaign.map(places).to_numpy()
+            marks = axes.errorbar(at, own.value, own.std_error, fmt=".", ms=4, lw=0.6, label=f"sensor {sensor:.0f}")
             for level, style in ((median, "-"), (median - limit, "--"), (median + limit, "--")):
                 axes.axhline(level, color=marks[0].get_color(), ls=style, lw=0.7)
             far = own.campaign.isin(strange[(strange.what == name) & (strange.sensor == sensor)].campaign).to_numpy()
-            axes.plot(numpy.flatnonzero(far), own.value[far], "o", mfc="none", ms=9, color="black")
-        axes.set(xlabel="gripper, by name", ylabel=f"{name}, {group.unit.iloc[0]}")
+            axes.plot(at[far], own.value[far], "o", mfc="none", ms=9, color="black")
+        axes.set(xlabel="gripper", ylabel=f"{name}, {group.unit.iloc[0]}")
+        axes.set_xticks(labelled, [names[place] for place in labelled], rotation=90, fontsize="small")
         axes.legend(loc="upper right", fontsize="small")
         content = io.BytesIO()
         figure.savefig(content, format="png", dpi=110)
@@ -350,7 +374,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     campaigns = [campaign for address in options.campaigns for campaign in find_campaigns(address)]
     if not campaigns:
-        parser.error(f"no campaigns in {', '.join(options.campaigns)}: a campaign is a folder of recordings with a recording.toml each")
+        text = f"no campaigns in {', '.join(options.campaigns)}: a campaign is a folder of recordings with a recording.toml each"
+        own = [address for address in options.campaigns if is_campaign(address)]
+        parser.error(f"{text}; {own[0]} is itself a campaign: give its parent folder" if own else text)
     client = None
     if options.scheduler:
         from distributed import Client
@@ -368,7 +394,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     files, folder = fsspec.core.url_to_fs(options.output)
     files.pipe_file(f"{folder}/fleet.html", page(table).encode())
     strange = outliers(table)
-    print(strange.to_string(index=False) if len(strange) else "No outliers.")
+    if len(strange):
+        print(strange.to_string(index=False))
+    if not is_tested(table):
+        print(NOT_TESTED)
+    elif not len(strange):
+        print("No outliers.")
     print(f"\n{table.campaign.nunique()} grippers; written: {options.output}/fleet.parquet, {options.output}/fleet.html")
 
 

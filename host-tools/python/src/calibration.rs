@@ -41,7 +41,9 @@ use pyo3::prelude::*;
 use pyo3::types::PyString;
 use report::text;
 use serde_json::{Value, json};
+use sim::campaign::plan::RecordingPlan;
 use sim::campaign::settings::CampaignSettings;
+use sim::effects::draw_random_effects;
 
 use crate::interrupt::{self, Progress};
 use crate::{to_text, with_notes};
@@ -365,27 +367,50 @@ fn simulate(
     output: PathBuf,
     truth: Option<PathBuf>,
     design: Option<PathBuf>,
+    plan: Option<PathBuf>,
     effects: Vec<String>,
     programme: Option<String>,
     recordings: Option<u32>,
     seconds: Option<f64>,
     sensors: Option<u32>,
     scatter: Option<f64>,
+    random_effects: Option<usize>,
+    strength: Option<f64>,
+    load: Option<f64>,
+    warmer: Option<f64>,
+    noise: Option<String>,
+    field_noise: Option<f64>,
+    reference_noise: Option<f64>,
     seed: u64,
 ) -> PyResult<Py<PyString>> {
     let result = interrupt::run(py, move |_| {
         let design = SensorDesign::read_or_magpie(design.as_deref())?;
         let default = CampaignSettings::of_design(&design);
         let settings = CampaignSettings {
-            effects: effects.iter().map(|text| text.parse()).collect::<Result<_>>()?,
+            effects: match random_effects {
+                Some(_) if !effects.is_empty() => bail!("give effects or random_effects, not both"),
+                Some(count) => draw_random_effects(seed, count, checked_strength(strength)?)?,
+                None if strength.is_some() => bail!("strength requires random_effects"),
+                None => effects.iter().map(|text| text.parse()).collect::<Result<_>>()?,
+            },
+            hidden: random_effects.is_some(),
             programme: match programme {
                 Some(name) => serde_json::from_value(json!(name)).context("programme")?,
                 None => default.programme,
             },
+            noise: match noise {
+                Some(name) => serde_json::from_value(json!(name)).context("noise")?,
+                None => default.noise,
+            },
+            plan: plan.as_deref().map(RecordingPlan::read).transpose()?,
             recordings: recordings.unwrap_or(default.recordings),
             seconds: seconds.unwrap_or(default.seconds),
             scatter: scatter.unwrap_or(default.scatter),
             sensors: sensors.unwrap_or(default.sensors),
+            harder: load.unwrap_or(default.harder),
+            warmer_k: warmer.unwrap_or(default.warmer_k),
+            field_noise_g: field_noise.unwrap_or(default.field_noise_g),
+            reference_noise_n: reference_noise.unwrap_or(default.reference_noise_n),
             seed,
             ..default
         };
@@ -394,6 +419,18 @@ fn simulate(
     })?;
     Ok(to_text(py, &result))
 }
+
+/// The factor on random effects, within the range of the command.
+fn checked_strength(strength: Option<f64>) -> Result<f64> {
+    let strength = strength.unwrap_or(1.0);
+    if !(0.0..=MAX_STRENGTH).contains(&strength) {
+        bail!("strength = {strength:?} is not possible here; give 0 to {MAX_STRENGTH}");
+    }
+    Ok(strength)
+}
+
+/// Maximum factor on random effects: beyond it all have their maximum.
+const MAX_STRENGTH: f64 = 100.0;
 
 /// The catalogue of effects.
 #[pyfunction]

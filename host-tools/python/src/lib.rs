@@ -25,9 +25,44 @@ create_exception!(
     "Input that cannot be used, with the remedy. Attributes: file, line and column where known (else None), notes."
 );
 
+/// Texts of the commands, with options, and the same with arguments of the functions; longer ones first.
+const ARGUMENTS: [(&str, &str); 16] = [
+    (
+        "add it to recording.toml or to the mapping of the import",
+        "give design= to Campaign.from_arrays or Campaign.from_files, or add it to recording.toml or to the mapping of the import",
+    ),
+    ("--base polynomial", "base=\"polynomial\""),
+    ("--delay-ms ", "delay_ms="),
+    ("--delay-ms", "delay_ms"),
+    ("--degree", "degree"),
+    ("--expr", "exprs"),
+    ("--range ", "ranges: "),
+    ("--network", "network"),
+    ("--hold-out", "hold_out"),
+    ("--hidden", "hidden"),
+    ("--seed", "seed"),
+    ("--epochs", "epochs"),
+    ("--patience", "patience"),
+    ("--rate", "rate"),
+    ("--zero-weight", "zero_weight"),
+    ("without --resume", "with another checkpoint"),
+];
+
+/// An error's text with arguments in place of options, except in commands (`` `cargo ...` ``).
+fn with_arguments(text: &str) -> String {
+    let replace = |part: &str| {
+        let replaced = |text: String, (option, argument)| text.replace(option, argument);
+        ARGUMENTS.into_iter().fold(part.to_owned(), replaced)
+    };
+    let parts = text.split('`');
+    let parts =
+        parts.map(|part| if part.starts_with("cargo ") { part.to_owned() } else { replace(part) });
+    parts.collect::<Vec<_>>().join("`")
+}
+
 /// An error with its place as attributes.
 fn to_python(py: Python<'_>, error: anyhow::Error) -> PyErr {
-    let raised = MagpieError::new_err(format!("{error:#}"));
+    let raised = MagpieError::new_err(with_arguments(&format!("{error:#}")));
     let (error, notes) = match error.downcast::<ErrorWithNotes>() {
         Ok(with_notes) => (with_notes.error, texts(&with_notes.notes)),
         Err(error) => (error, Vec::new()),

@@ -19,6 +19,7 @@ def test_a_function_is_fitted_and_evaluated_like_its_formula(ripple, fitted):
     same = magpie.add(fitted.model, ripple, exprs=["ripple: dz_um = a*sin(motor_angle_rad) + b*cos(motor_angle_rad)"])
     assert error_g(found) == pytest.approx(same.data["after"]["held_out_rms_g"], rel=1e-4)
     assert error_g(found) < 0.17 < 1.0 < found.edit.data["before"]["held_out_rms_g"]
+    assert list(found.to_pandas().effect) == ["ripple"] and "<table>" in found._repr_html_()
     diagnosis = found.diagnose()
     assert next(verdict for verdict in diagnosis.verdicts if verdict.effect == "ripple").verdict == "found"
     # No board can evaluate it.

@@ -2,6 +2,7 @@
 
 import gzip
 import os
+import shutil
 import signal
 
 import fsspec
@@ -105,6 +106,51 @@ def test_grippers_that_differ_are_named(campaigns, tmp_path):
     assert set(strange.campaign) == {f"g{WEAK:02}", f"g{DEAD:02}"}, strange
     page = (tmp_path / "fleet.html").read_text()
     assert "<h2>Control charts</h2>" in page and page.count("<img ") >= 10
+    assert "at most 5% of the grippers have it: in one gripper, of 20 or more" in page
+
+
+def test_few_grippers_are_not_called_without_outliers(campaigns, tmp_path, capsys):
+    few = tmp_path / "few"
+    for name in ("g00", "g01"):
+        shutil.copytree(campaigns / name, few / name)
+    fleet.main([str(few), "-o", str(tmp_path / "out"), "--workers", "0"])
+    printed, page = capsys.readouterr().out, (tmp_path / "out" / "fleet.html").read_text()
+    for text in (printed, page):
+        assert "Fewer than 10 grippers: not tested for outliers." in text and "No outliers" not in text
+    with pytest.raises(SystemExit):
+        fleet.main([str(campaigns / "g00"), "-o", str(tmp_path / "out")])
+    assert "g00 is itself a campaign: give its parent folder" in capsys.readouterr().err
+
+
+def effect_rows(verdicts):
+    common = {"recorded": None, "sensor": None, "value": 1.0, "std_error": 0.1, "unit": "", "recordings_sha256": ""}
+    return pandas.DataFrame({"campaign": f"g{i:03}", "kind": "effect", "name": "creep", "verdict": v, **common} for i, v in enumerate(verdicts))
+
+
+def test_an_effect_that_is_tied_is_not_counted_as_found():
+    assert fleet.common_effects(effect_rows(["found", "tied", "absent", "absent"]))["creep"] == 0.25
+
+
+@pytest.mark.parametrize("count, is_named", [(19, False), (20, True)])
+def test_an_effect_of_one_gripper_is_named_from_twenty_on(count, is_named):
+    strange = fleet.outliers(effect_rows(["found"] + ["absent"] * (count - 1)))
+    assert list(strange.campaign) == (["g000"] if is_named else [])
+
+
+def test_charts_name_the_grippers_and_number_the_sensors(monkeypatch):
+    from matplotlib.figure import Figure
+
+    drawn = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: drawn.append(figure.axes[0]))
+    common = {"recorded": None, "kind": "parameter", "name": "gap", "value": 1.5, "std_error": 0.01, "unit": "mm", "verdict": None}
+    # The sensor is a floating-point number where other rows have none; one gripper has no second sensor.
+    rows = [{**common, "campaign": name, "sensor": sensor} for sensor, names in ((0.0, "abc"), (1.0, "bc")) for name in names]
+    fleet.page(pandas.DataFrame(rows))
+    (axes,) = drawn
+    assert [label.get_text() for label in axes.get_xticklabels()] == list("abc")
+    assert axes.get_legend_handles_labels()[1] == ["sensor 0", "sensor 1"]
+    second = axes.containers[1][0]
+    assert list(second.get_xdata()) == [1, 2]
 
 
 def test_scores_consider_the_scatter_of_the_production_and_the_error_of_each_value():
