@@ -84,16 +84,13 @@ pub fn estimate_all(
     inputs: &AuxiliaryInputs,
     states: &mut [CompensationState; SENSORS],
 ) -> [Estimate; SENSORS] {
-    let mut states = states.iter_mut();
-    let mut number = 0;
-    frame.readings.map(|reading| {
-        let estimate = match states.next() {
-            Some(state) => estimate(tables, number, reading, inputs, state),
-            None => Estimate::MISSING,
-        };
-        number += 1;
-        estimate
-    })
+    // In place: a map of the array copies each estimate several times.
+    let mut estimates = [Estimate::MISSING; SENSORS];
+    let sensors = estimates.iter_mut().zip(frame.readings).zip(states).enumerate();
+    for (number, ((estimated, reading), state)) in sensors {
+        *estimated = estimate(tables, number, reading, inputs, state);
+    }
+    estimates
 }
 
 /// Recurrent networks with their states.
