@@ -10,7 +10,8 @@ use std::path::PathBuf;
 
 use analysis::import::ImportError;
 use analysis::notes::{ErrorWithNotes, Note};
-use model_export::recordings::{DataError, Location};
+use model_export::fit::FitError;
+use model_export::recordings::DataError;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyString;
@@ -69,9 +70,10 @@ fn to_python(py: Python<'_>, error: anyhow::Error) -> PyErr {
     };
     let place = error.chain().find_map(|cause| {
         let of_import = cause.downcast_ref::<ImportError>().map(|explained| &explained.error);
-        cause.downcast_ref::<DataError>().or(of_import)
+        let of_data = cause.downcast_ref::<DataError>().or(of_import).map(|error| &*error.location);
+        of_data.or_else(|| cause.downcast_ref::<FitError>()?.place())
     });
-    let place = place.map_or_else(Location::default, |error| (*error.location).clone());
+    let place = place.cloned().unwrap_or_default();
     let file = (place.file != PathBuf::new()).then_some(place.file);
     let value = raised.value(py);
     let set = value

@@ -3,6 +3,7 @@
 import math
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -286,6 +287,14 @@ def test_errors_have_a_place(tmp_path, fitted):
     with pytest.raises(magpie.MagpieError) as raised:
         magpie.fit(tmp_path / "campaign")
     assert (raised.value.line, raised.value.column) == (3, "s0_y_gauss")
+    flipped = Path(tmp_path) / "flipped"
+    shutil.copytree(DATA / "clean", flipped)
+    for path in flipped.glob("*/force.csv.gz"):
+        force = pd.read_csv(path)
+        force.assign(f0_x_n=-force.f0_x_n).to_csv(path, index=False)
+    with pytest.raises(magpie.MagpieError, match="flipped") as raised:
+        magpie.fit(flipped)
+    assert (raised.value.file.name, raised.value.column) == ("force.csv.gz", "f0_x_n")
     with pytest.raises(magpie.MagpieError, match="hysterisis.*did you mean hysteresis"):
         magpie.simulate(tmp_path / "simulated", "hysterisis")
     one_sensor = {f"s0_{axis}_gauss": [1.0] for axis in "xyz"}

@@ -100,6 +100,28 @@ pub enum FitError {
     NotConverged { sensor: u32, reason: String },
 }
 
+impl FitError {
+    /// File, line and column, where the cause is in one.
+    pub fn place(&self) -> Option<&Location> {
+        match self {
+            Self::Recording(error) => Some(&error.location),
+            Self::NoDesign { place }
+            | Self::NoForce { place, .. }
+            | Self::NoForces { place }
+            | Self::TooFewRows { place, .. }
+            | Self::Saturated { place, .. }
+            | Self::Stuck { place, .. }
+            | Self::ForcesDiffer { place, .. }
+            | Self::ManyForces { place, .. }
+            | Self::Orientation { place, .. }
+            | Self::ConstantForce { place } => Some(place),
+            Self::DegreeWithoutForce { .. }
+            | Self::TooManyTerms { .. }
+            | Self::NotConverged { .. } => None,
+        }
+    }
+}
+
 /// Bootstrap options.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FitOptions {

@@ -131,10 +131,10 @@ impl Grbf {
             let mut group = LaneGroup::default();
             for (lane, (centre, weight)) in centres.iter().zip(weights).enumerate() {
                 for axis in 0..3 {
-                    group.centres[axis].as_mut_array()[lane] = centre[axis];
+                    group.centres[axis].as_array_mut()[lane] = centre[axis];
                 }
                 for (lanes, weight) in group.weights_n.iter_mut().zip(weight) {
-                    lanes.as_mut_array()[lane] = *weight;
+                    lanes.as_array_mut()[lane] = *weight;
                 }
             }
             group
