@@ -348,6 +348,24 @@ fn saturated_rows_are_excluded_with_a_notice() {
 }
 
 #[test]
+fn misspelt_keys_are_ignored_with_a_notice() {
+    let notices_with = |line: &str| {
+        let folder = TempDir::new().unwrap();
+        let (hall, force) = valid();
+        write_recording(folder.path(), &format!("{RECORDING_TOML}{line}\n"), &hall, &force);
+        let recording = Recording::read(folder.path(), NO_DELAY).unwrap();
+        recording.notices.iter().map(ToString::to_string).collect::<Vec<_>>()
+    };
+    let [misspelt] = &notices_with("force_range = 20.0")[..] else { panic!("one notice") };
+    assert_contains(
+        misspelt,
+        "column force_range: unknown key, ignored; did you mean force_range_n?",
+    );
+    // Some effects have keys of their own.
+    assert_eq!(notices_with("beam_length_mm = 30.0"), [""; 0]);
+}
+
+#[test]
 fn recordings_of_two_designs_are_refused() {
     let folder = TempDir::new().unwrap();
     let (hall, force) = valid();

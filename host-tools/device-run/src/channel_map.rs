@@ -107,7 +107,7 @@ impl CovariateChannels {
             acceleration: three(["accel_x_mps2", "accel_y_mps2", "accel_z_mps2"]),
             attitude: three(["roll_rad", "pitch_rad", "yaw_rad"]),
             pole_pairs: design
-                .and_then(|design| design.number("motor_pole_pairs"))
+                .and_then(NominalDesign::pole_pairs)
                 .unwrap_or(constants::POLE_PAIRS.value) as u8,
         }
     }

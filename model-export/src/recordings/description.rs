@@ -7,7 +7,7 @@ use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use crate::input::{self, MAX_COLUMNS, MAX_START_S, check_plausible};
-use crate::recordings::error::{DataError, ErrorKind, Location, Notice};
+use crate::recordings::error::{DataError, ErrorKind, Location, Notice, closest_match};
 use crate::recordings::units::{column_unit, column_units};
 
 /// Name of the file in the folder of a recording.
@@ -45,6 +45,9 @@ pub struct RecordingDescription {
     #[serde(flatten, skip_serializing)]
     unknown: toml::Table,
 }
+
+/// Key of the motor's pole pairs in a design.
+const POLE_PAIRS: &str = "motor_pole_pairs";
 
 /// The nominal design of the gripper, with the keys of the file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -163,9 +166,20 @@ impl NominalDesign {
         self.sensors.unwrap_or(constants::SENSORS.value as u32)
     }
 
-    /// A number among the further keys.
-    pub fn number(&self, key: &str) -> Option<f64> {
-        let value = self.more.get(key)?;
+    /// Keys of the fields, and of the further ones that a fit or the device uses.
+    const KEYS: [&str; 7] = [
+        "magnet",
+        "gap_mm",
+        "stiffness_x_n_per_mm",
+        "stiffness_z_n_per_mm",
+        "force_range_n",
+        "sensors",
+        POLE_PAIRS,
+    ];
+
+    /// Pole pairs of the motor, where they are stated.
+    pub fn pole_pairs(&self) -> Option<f64> {
+        let value = self.more.get(POLE_PAIRS)?;
         value.as_float().or_else(|| value.as_integer().map(|n| n as f64))
     }
 
@@ -309,13 +323,18 @@ impl RecordingDescription {
     }
 
     fn unknown_keys(&self, path: &Path) -> Vec<Notice> {
-        self.unknown
-            .keys()
-            .map(|key| Notice {
-                location: Location::file(path).column(key.as_str()),
-                message: "unknown key, ignored; check its spelling".to_owned(),
-            })
-            .collect()
+        let notice = |key: &String, remedy: &str| Notice {
+            location: Location::file(path).column(key.as_str()),
+            message: format!("unknown key, ignored; {remedy}"),
+        };
+        let unknown = self.unknown.keys().map(|key| notice(key, "check its spelling"));
+        // Designs have further keys, but none that nearly is a key of the fit.
+        let more = self.design.iter().flat_map(|design| design.more.keys());
+        let misspelt = more.filter(|key| *key != POLE_PAIRS).filter_map(|key| {
+            let near = closest_match(key, NominalDesign::KEYS)?;
+            Some(notice(key, &format!("did you mean {near}?")))
+        });
+        unknown.chain(misspelt).collect()
     }
 }
 

@@ -13,7 +13,7 @@ use crate::recordings::columns::{
 use crate::recordings::csv_table::{
     CellRule, ClockMonitor, CsvRow, CsvTable, missing_clock, period_us,
 };
-use crate::recordings::description::{RECORDING_FILE, RecordingDescription};
+use crate::recordings::description::{NominalDesign, RECORDING_FILE, RecordingDescription};
 use crate::recordings::error::{DataError, ErrorKind, Location, Notice};
 use crate::recordings::noise::WhiteNoise;
 
@@ -72,7 +72,7 @@ impl MotorChannels {
                 .position(|c| matches!(c, HallColumn::Covariate { name } if name == column))
         };
         let design = description.design.as_ref();
-        let stated = design.and_then(|design| design.number("motor_pole_pairs"));
+        let stated = design.and_then(NominalDesign::pole_pairs);
         Some(Self {
             quadrature_current: channel("motor_iq_a")?,
             mechanical_angle: channel("motor_angle_rad")?,
