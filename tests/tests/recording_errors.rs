@@ -266,12 +266,27 @@ fn a_reference_slower_than_its_window_allows_is_reported() {
         (0..500).map(|i| format!("s{}_{}_lsb", i / 3, ["x", "y", "z"][i % 3])).collect();
     let names = &names[..498];
     let zeros = ",0".repeat(names.len());
-    let hall: String = (0..33_000).map(|i| format!("{i}000{zeros}\n")).collect();
+    let hall: String = (0..33_000).map(|i| format!("{}{zeros}\n", 25 * i)).collect();
     let message = error_of(|path, _, _| {
         write_hall(path, &format!("t_us,{}\n{hall}", names.join(",")));
-        write_force(path, "t_us,f0_x_n\n40000000,0\n120000000,0\n");
+        write_force(path, "t_us,f0_x_n\n450000,0\n1350000,0\n");
     });
     assert_contains(&message, "a row of the reference spans more than 16000000 values");
+}
+
+#[test]
+fn a_clock_in_another_unit_is_reported() {
+    for step in ["1", "2000000"] {
+        let message = error_of(|path, _, _| {
+            let rows = (1..5).map(|row| format!("{},0,0,0\n", row * step.parse::<u64>().unwrap()));
+            write_hall(
+                path,
+                &format!("t_us,s0_x_lsb,s0_y_lsb,s0_z_lsb\n{}", rows.collect::<String>()),
+            );
+        });
+        let expected = format!("rows are {step}.000 us apart; t_us must be in microseconds");
+        assert_contains(&message, &expected);
+    }
 }
 
 #[test]
