@@ -43,7 +43,7 @@ use report::text;
 use serde_json::{Value, json};
 use sim::campaign::plan::RecordingPlan;
 use sim::campaign::settings::CampaignSettings;
-use sim::effects::draw_random_effects;
+use sim::effects::{MAX_STRENGTH, draw_random_effects};
 
 use crate::interrupt::{self, Progress};
 use crate::{to_text, with_notes};
@@ -428,9 +428,6 @@ fn checked_strength(strength: Option<f64>) -> Result<f64> {
     }
     Ok(strength)
 }
-
-/// Maximum factor on random effects: beyond it all have their maximum.
-const MAX_STRENGTH: f64 = 100.0;
 
 /// The catalogue of effects.
 #[pyfunction]

@@ -104,6 +104,9 @@ fn unknown(id: &str) -> anyhow::Error {
     )
 }
 
+/// Maximum factor on random effects: beyond it all have their maximum.
+pub const MAX_STRENGTH: f64 = 100.0;
+
 /// Draws `count` different effects near their typical magnitude times `strength`.
 pub fn draw_random_effects(seed: u64, count: usize, strength: f64) -> Result<Vec<Effect>> {
     let mut rng = stream(seed, Purpose::RandomEffects, 0);

@@ -13,7 +13,7 @@ use sim::campaign::settings::{
     CampaignSettings, DEFAULT_RECORDINGS, DEFAULT_REFERENCE_NOISE_N, DEFAULT_SECONDS,
     MAX_RECORDINGS, MAX_SENSORS,
 };
-use sim::effects::{EFFECT_KINDS, Effect, EffectKind, draw_random_effects};
+use sim::effects::{EFFECT_KINDS, Effect, EffectKind, MAX_STRENGTH, draw_random_effects};
 use sim::hall_sensor::NoiseKind;
 use sim::motion::Programme;
 
@@ -164,6 +164,3 @@ fn settings(args: &Args) -> Result<CampaignSettings> {
     settings.check_ranges().map_err(|error| anyhow!("--{error}"))?;
     Ok(settings)
 }
-
-/// Maximum factor on random effects: beyond it all have their maximum.
-const MAX_STRENGTH: f64 = 100.0;

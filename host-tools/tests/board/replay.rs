@@ -243,6 +243,9 @@ fn slower_recordings_are_replayed_at_the_rate_of_the_device() {
     dir.stdout("simulate -o slow --seconds 10 --sensors 1 --seed 9 --effect viscous_lag=20");
     dir.stdout("fit slow -o base.toml");
     dir.stdout("add base.toml slow viscous_lag -o model.toml");
+    let notes_of =
+        |folder: &str| dir.json(&format!("replay model.toml {folder} --json"))["notes"].to_string();
+    assert!(!notes_of("slow").contains("apart"));
     let built = build(&dir.path("model.toml"), ModelVariant::Fitted).unwrap();
     let errors_n = |folder: &Path| {
         let models = [ReplayModels::of(&built)];
@@ -253,6 +256,8 @@ fn slower_recordings_are_replayed_at_the_rate_of_the_device() {
     for step in [2, 5, 10] {
         let folder = dir.path(&format!("slow-{step}"));
         thinned(&dir.path("slow/2"), &folder, step);
+        let notes = notes_of(&format!("slow-{step}"));
+        assert!(notes.contains(&format!("rows are {step}.00 ms apart: interpolated")), "{notes}");
         let (fewer, slower) = errors_n(&folder);
         assert_eq!(fewer, rows.div_ceil(step as u64));
         // A filter that took each row for a millisecond would be wrong by newtons; interpolated noise is not white.

@@ -72,6 +72,8 @@ pub struct InverseErrors {
 
 struct SensorData<'a> {
     model: &'a StaticModel,
+    /// Index of the first sensor with this model.
+    index: usize,
     design: DesignBox,
     training: Vec<FieldSample>,
 }
@@ -102,20 +104,20 @@ pub fn select_models(
     range_gauss: f64,
     shape: Option<GrbfShape>,
 ) -> Result<SelectedModels, TableOverflow> {
-    let mut distinct: Vec<&StaticModel> = Vec::new();
-    let place = |model| {
-        let known = distinct.iter().position(|other| model == *other);
+    let mut distinct: Vec<(usize, &StaticModel)> = Vec::new();
+    let place = |sensor: (usize, _)| {
+        let known = distinct.iter().position(|(_, model)| *model == sensor.1);
         known.unwrap_or_else(|| {
-            distinct.push(model);
+            distinct.push(sensor);
             distinct.len() - 1
         })
     };
-    let places = models.iter().map(place).collect();
+    let places = models.iter().enumerate().map(place).collect();
     let sensors: Vec<SensorData> = distinct
         .into_par_iter()
-        .map(|model| {
+        .map(|(index, model)| {
             let (_, design) = DesignBox::of(model).device_scale(gauss_per_lsb);
-            SensorData { model, design, training: training_samples(model, &design) }
+            SensorData { model, index, design, training: training_samples(model, &design) }
         })
         .collect();
     let problem =
@@ -177,11 +179,9 @@ impl InverseProblem<'_> {
         let evaluate = |models: &[Grbf]| -> Option<f64> {
             let tables = self.tables(models).ok()?;
             let mut worst = 0.0_f64;
-            for (place, validation) in validation.iter().enumerate() {
-                let Some(i) = self.places.iter().position(|of| *of == place) else { continue };
-                let model = &models[i];
-                let fixed = |field: &_| tables.force(i, field, self.gauss_per_lsb);
-                let float = float_samples(model, &validation[..SAMPLES / 5]);
+            for (sensor, validation) in self.sensors.iter().zip(&validation) {
+                let fixed = |field: &_| tables.force(sensor.index, field, self.gauss_per_lsb);
+                let float = float_samples(&models[sensor.index], &validation[..SAMPLES / 5]);
                 let (rounding, _) = force_errors(&float, fixed);
                 if rounding.iter().any(|rms| *rms > MAX_ROUNDING * noise_n) {
                     return None;

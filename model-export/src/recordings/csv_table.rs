@@ -538,7 +538,7 @@ impl ClockMonitor {
 
 /// Below every sensor's period: the clock is in another unit.
 const MIN_PERIOD_US: f64 = 20.0;
-/// Above every sensor's period, likewise.
+/// Above every sensor's period: the clock is in another unit too.
 const MAX_PERIOD_US: f64 = 1e6;
 
 /// Median period of a table's clock.

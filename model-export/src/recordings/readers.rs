@@ -197,6 +197,24 @@ impl HallReader {
         Ok(counts * self.gauss_per_lsb)
     }
 
+    /// A notice where the rows are not at the device's rate, for which they are interpolated or left out in a replay.
+    pub(super) fn rate_notice(&self) -> Option<Notice> {
+        let tick_us = constants::TICK_US as f64;
+        let done = match self.period_us / tick_us {
+            ratio if ratio >= 1.5 => "interpolated",
+            ratio if ratio > 0.0 && ratio <= 2.0 / 3.0 => "left out in part",
+            _ => return None,
+        };
+        Some(Notice {
+            location: self.table.header_location("t_us"),
+            message: format!(
+                "rows are {:.2} ms apart: {done} where the device's code is replayed, which has one every {:.0} ms",
+                1e-3 * self.period_us,
+                1e-3 * tick_us
+            ),
+        })
+    }
+
     pub(super) fn saturation_notices(&self) -> Vec<Notice> {
         let channels = self.saturated.iter().zip(&self.indices);
         channels

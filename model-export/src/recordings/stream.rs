@@ -168,6 +168,7 @@ impl AlignedStream {
             notices.extend(clock.gap_notice(table));
         }
         notices.extend(self.hall.saturation_notices());
+        notices.extend(self.hall.rate_notice());
         if self.too_close > 0 {
             notices.push(Notice {
                 location: Location::file(self.force.table.path()),
@@ -259,6 +260,11 @@ impl RawStream {
     /// Median time between board rows in microseconds.
     pub fn period_us(&self) -> f64 {
         self.hall.period_us
+    }
+
+    /// A notice where the rows are not at the device's rate.
+    pub fn rate_notice(&self) -> Option<Notice> {
+        self.hall.rate_notice()
     }
 
     /// White noise of one reference row in newtons, each force, from the rows read so far.

@@ -153,6 +153,8 @@ fn differences(folders: &[PathBuf], model: &ModelFile, alignment: Alignment) -> 
         if description.design != model.design {
             notes.push(Note::OtherDesign { recording: folder.clone() });
         }
+        let stream = RawStream::open(folder, &description, alignment)?;
+        notes.extend(stream.rate_notice().map(Note::Recording));
     }
     Ok(notes)
 }
