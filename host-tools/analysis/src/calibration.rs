@@ -1,7 +1,7 @@
 //! Calibration of predicted standard deviations: coverage of their multiples compared with a Gaussian, with
 //! block-bootstrap intervals that account for autocorrelated errors.
 
-use crate::statistics::pooled_rms;
+use crate::statistics::Moments;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use statrs::distribution::{ContinuousCDF, Normal};
@@ -40,10 +40,12 @@ impl PredictedError {
 }
 
 /// Errors after subtraction of a tare.
-pub fn subtract_tare(errors: &[PredictedError], tare_n: f64) -> Vec<PredictedError> {
-    let tared =
-        |error: &PredictedError| PredictedError { error_n: error.error_n - tare_n, ..*error };
-    errors.iter().map(tared).collect()
+pub fn subtract_tare(
+    errors: &[PredictedError],
+    tare_n: f64,
+) -> impl Iterator<Item = PredictedError> {
+    let errors = errors.iter();
+    errors.map(move |error| PredictedError { error_n: error.error_n - tare_n, ..*error })
 }
 
 /// Factor on sigma that matches the coverage of one and two sigma to a Gaussian, as the geometric mean of
@@ -88,17 +90,31 @@ pub struct Coverage {
 }
 
 impl Coverage {
-    /// Coverage over these forces; `None` without errors.
-    pub fn of<'a>(forces: impl IntoIterator<Item = &'a [PredictedError]>) -> Option<Self> {
-        let errors: Vec<PredictedError> = forces.into_iter().flatten().copied().collect();
-        let blocks = errors.iter().map(PredictedError::block).max()? + 1;
-        let mut counts = vec![[0_u32; 4]; blocks];
-        for error in &errors {
-            let block = &mut counts[error.block()];
+    /// Coverage of these errors; `None` without any.
+    pub fn of(errors: impl IntoIterator<Item = PredictedError>) -> Option<Self> {
+        let normal = Normal::standard();
+        let multiples = CURVE.map(|expected| normal.inverse_cdf(0.5 + 0.5 * expected));
+        // Of each block: errors within the multiples, all errors.
+        let mut counts: Vec<[u32; 4]> = Vec::new();
+        let mut inside = [0_u64; CURVE.len()];
+        let (mut sigmas, mut moments) = (Moments::default(), Moments::default());
+        for error in errors {
+            let block = error.block();
+            counts.resize(counts.len().max(block + 1), [0; 4]);
+            let block = &mut counts[block];
             block[3] += 1;
+            let normalised = error.normalised();
             for (count, multiple) in block.iter_mut().zip(SIGMA_MULTIPLES) {
-                *count += u32::from(error.normalised() <= multiple);
+                *count += u32::from(normalised <= multiple);
             }
+            for (count, multiple) in inside.iter_mut().zip(multiples) {
+                *count += u64::from(normalised <= multiple);
+            }
+            sigmas.add(error.sigma_n);
+            moments.add(error.error_n);
+        }
+        if counts.is_empty() {
+            return None;
         }
         counts.retain(|block| block[3] > 0);
         let fractions = |chosen: &mut dyn Iterator<Item = &[u32; 4]>| {
@@ -122,21 +138,17 @@ impl Coverage {
             drawn.sort_by(f64::total_cmp);
             [drawn[DRAWS / 40], drawn[DRAWS - 1 - DRAWS / 40]]
         });
-        let normal = Normal::standard();
-        let curve = CURVE.map(|expected| {
-            let multiple = normal.inverse_cdf(0.5 + 0.5 * expected);
-            let inside = errors.iter().filter(|error| error.normalised() <= multiple);
-            [expected, inside.count() as f64 / errors.len() as f64]
-        });
-        let rms = |of: fn(&PredictedError) -> f64| pooled_rms(errors.iter().map(of));
+        let curve = CURVE.into_iter().zip(inside);
         Some(Self {
-            rows: errors.len(),
+            rows: moments.rows() as usize,
             blocks: counts.len(),
             within,
             interval,
-            curve: curve.to_vec(),
-            sigma_n: rms(|error| error.sigma_n),
-            rmse_n: rms(|error| error.error_n),
+            curve: curve
+                .map(|(expected, count)| [expected, count as f64 / moments.rows()])
+                .collect(),
+            sigma_n: sigmas.rms(),
+            rmse_n: moments.rms(),
         })
     }
 }
@@ -159,7 +171,7 @@ mod tests {
     #[test]
     fn correct_sigma_has_gaussian_coverage_and_factor_one() {
         let errors = predicted(3.0);
-        let found = Coverage::of([errors.as_slice()]).unwrap();
+        let found = Coverage::of(errors.iter().copied()).unwrap();
         for (place, width) in SIGMA_MULTIPLES.into_iter().enumerate() {
             let expected = gaussian(width);
             assert!((found.within[place] - expected).abs() < 0.01, "{found:?}");
@@ -173,7 +185,7 @@ mod tests {
     #[test]
     fn halved_sigma_has_low_coverage_and_factor_two() {
         let errors = predicted(1.5);
-        let found = Coverage::of([errors.as_slice()]).unwrap();
+        let found = Coverage::of(errors.iter().copied()).unwrap();
         // Within half a standard deviation are 38.3 %.
         assert!((found.within[0] - 0.383).abs() < 0.015, "{found:?}");
         assert!((sigma_factor(&errors).unwrap() - 2.0).abs() < 0.04);
@@ -188,7 +200,7 @@ mod tests {
                 sigma_n: 1.0,
             };
             let errors: Vec<PredictedError> = (0..10_000).map(one).collect();
-            let [lower, upper] = Coverage::of([errors.as_slice()]).unwrap().interval[0];
+            let [lower, upper] = Coverage::of(errors.iter().copied()).unwrap().interval[0];
             upper - lower
         };
         // Two thirds within one sigma: row by row, or in blocks of five seconds.
@@ -199,7 +211,7 @@ mod tests {
 
     #[test]
     fn coverage_without_predictions_is_none() {
-        assert_eq!(Coverage::of([&[] as &[PredictedError]]), None);
+        assert_eq!(Coverage::of([]), None);
         assert_eq!(sigma_factor(&[]), None);
     }
 }

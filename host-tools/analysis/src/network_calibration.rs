@@ -7,7 +7,7 @@
 
 use model_export::gru::network::{Network, OUTPUTS, TrainedRange};
 use model_export::gru::train::dataset::{SensorSequence, Sequence};
-use model_export::gru::train::forward::Prediction as Share;
+use model_export::gru::train::predictions::Prediction as Share;
 use model_export::gru::train::trainer::Trainer;
 use model_export::inverse::build::DeviceModel;
 
@@ -41,7 +41,7 @@ impl NetworkCalibration {
         let mut calibration =
             Self { factors: Vec::new(), before: None, after: None, guards: Vec::new() };
         let (mut before, mut after) = (Vec::new(), Vec::new());
-        for (sensors, forces) in trainer.groups.iter().zip(trainer.predictions()?) {
+        for (sensors, forces) in trainer.groups.iter().zip(trainer.predictions()) {
             for (place, &sensor) in sensors.iter().enumerate() {
                 let mut factors = [1.0; 2];
                 let mut disagreement_n = [0.0_f64; 2];
@@ -59,14 +59,14 @@ impl NetworkCalibration {
                             let rest = TareEstimator::new(built.model.force_range_n(), deadband_n);
                             tare(track, axis, &samples, rest, sigma)
                         });
-                        subtract_tare(&samples, tare.unwrap_or(0.0))
+                        subtract_tare(&samples, tare.unwrap_or(0.0)).collect::<Vec<_>>()
                     };
                     // Tare and sigma depend on each other: two iterations.
                     let first = sigma_factor(&tare(1.0)).unwrap_or(1.0);
                     let errors = tare(first);
                     *chosen = sigma_factor(&errors).unwrap_or(first);
-                    after.push(cross_calibrated(&errors));
-                    before.push(errors);
+                    after.extend(cross_calibrated(&errors));
+                    before.extend(errors);
                 }
                 calibration.factors.push((sensor, factors));
                 calibration.guards.push((
@@ -79,8 +79,8 @@ impl NetworkCalibration {
                 ));
             }
         }
-        calibration.before = Coverage::of(before.iter().map(Vec::as_slice));
-        calibration.after = Coverage::of(after.iter().map(Vec::as_slice));
+        calibration.before = Coverage::of(before);
+        calibration.after = Coverage::of(after);
         Ok(calibration)
     }
 

@@ -225,9 +225,9 @@ impl FloatNetwork<'_> {
         let network = self.network;
         let inputs = network.inputs.iter().map(|input| {
             let value = value(estimates, input.input, gauss_per_lsb)?;
-            Some((value - input.middle) / input.span)
+            Some(((value - input.middle) / input.span) as f32)
         });
-        let Some(inputs) = inputs.collect::<Option<Vec<f64>>>() else {
+        let Some(inputs) = inputs.collect::<Option<Vec<f32>>>() else {
             self.run.reset();
             self.steps = 0;
             return Vec::new();
@@ -240,7 +240,7 @@ impl FloatNetwork<'_> {
         let sensors = network.sensors.iter().zip(outputs.chunks(OUTPUTS));
         sensors
             .map(|(&sensor, output)| {
-                let mean_n = [0, 1].map(|axis| output[axis] * network.force_n[axis]);
+                let mean_n = [0, 1].map(|axis| f64::from(output[axis]) * network.force_n[axis]);
                 let target = network.target;
                 (sensor as usize, FloatForce { target, mean_n })
             })

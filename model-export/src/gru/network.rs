@@ -12,7 +12,7 @@
 //!
 //! Rows of a layer's weights are in the order r, z, n.
 
-use wide::f64x4;
+use wide::f32x8;
 
 /// Gates of a unit: reset, update, candidate.
 pub const GATES: usize = 3;
@@ -113,32 +113,32 @@ pub struct Network {
 }
 
 /// Units that are evaluated together.
-const LANES: usize = 4;
+const LANES: usize = 8;
 
-/// A network in floating point with the states of both layers.
+/// A network in floating point with the states of both layers, in the precision of its weights.
 #[derive(Clone, Debug)]
 pub struct FloatRun<'a> {
     network: &'a Network,
     layers: [FloatLayer; 2],
-    outputs: Vec<f64>,
+    outputs: Vec<f32>,
 }
 
 /// Weights and states of a layer, by groups of units.
 #[derive(Clone, Debug)]
 struct FloatLayer {
     groups: Vec<UnitGroup>,
-    state: Vec<f64>,
+    state: Vec<f32>,
 }
 
 /// Weights of units that are evaluated together: a lane for each, for r, z and n. Lanes without a unit have no weights.
 #[derive(Clone, Debug)]
 struct UnitGroup {
-    input_bias: [f64x4; GATES],
-    state_bias: [f64x4; GATES],
+    input_bias: [f32x8; GATES],
+    state_bias: [f32x8; GATES],
     /// For each input.
-    input_weights: Vec<[f64x4; GATES]>,
+    input_weights: Vec<[f32x8; GATES]>,
     /// For each unit of the layer.
-    state_weights: Vec<[f64x4; GATES]>,
+    state_weights: Vec<[f32x8; GATES]>,
 }
 
 impl<'a> FloatRun<'a> {
@@ -162,12 +162,12 @@ impl<'a> FloatRun<'a> {
     }
 
     /// States of one layer, in the order of the units.
-    pub fn state(&self, layer: usize) -> &[f64] {
+    pub fn state(&self, layer: usize) -> &[f32] {
         &self.layers[layer].state
     }
 
     /// One step over scaled inputs; the outputs.
-    pub fn step(&mut self, inputs: &[f64]) -> &[f64] {
+    pub fn step(&mut self, inputs: &[f32]) -> &[f32] {
         let [first, second] = &mut self.layers;
         first.step(inputs);
         second.step(&first.state);
@@ -175,13 +175,13 @@ impl<'a> FloatRun<'a> {
         for ((output, row), bias) in self.outputs.iter_mut().zip(rows).zip(&self.network.head_bias)
         {
             let products = row.iter().zip(&second.state);
-            let sum: f64 = products.map(|(weight, value)| f64::from(*weight) * value).sum();
-            *output = f64::from(*bias) + sum;
+            let sum: f32 = products.map(|(weight, value)| weight * value).sum();
+            *output = bias + sum;
         }
         &self.outputs
     }
 
-    fn states(&self) -> [Vec<f64>; 2] {
+    fn states(&self) -> [Vec<f32>; 2] {
         [0, 1].map(|layer| self.state(layer).to_vec())
     }
 }
@@ -194,9 +194,9 @@ impl FloatLayer {
                     let value = |lane: usize| {
                         let unit = first + lane;
                         let row = gate * units + unit;
-                        if unit < units { f64::from(values[row * width + column]) } else { 0.0 }
+                        if unit < units { values[row * width + column] } else { 0.0 }
                     };
-                    f64x4::from(std::array::from_fn::<f64, LANES, _>(value))
+                    f32x8::from(std::array::from_fn::<f32, LANES, _>(value))
                 };
                 std::array::from_fn(of_gate)
             };
@@ -214,7 +214,7 @@ impl FloatLayer {
         Self { groups: (0..units).step_by(LANES).map(group).collect(), state: vec![0.0; units] }
     }
 
-    fn step(&mut self, inputs: &[f64]) {
+    fn step(&mut self, inputs: &[f32]) {
         let before = self.state.clone();
         for (group, state) in self.groups.iter().zip(self.state.chunks_mut(LANES)) {
             let [input_r, input_z, input_n] =
@@ -226,20 +226,20 @@ impl FloatLayer {
             let candidate = tanh(input_n + reset * state_n);
             let mut own = [0.0; LANES];
             own[..state.len()].copy_from_slice(state);
-            let next = (f64x4::ONE - update) * candidate + update * f64x4::from(own);
+            let next = (f32x8::ONE - update) * candidate + update * f32x8::from(own);
             state.copy_from_slice(&next.to_array()[..state.len()]);
         }
     }
 }
 
 fn weighted_sums(
-    bias: [f64x4; GATES],
-    weights: &[[f64x4; GATES]],
-    values: &[f64],
-) -> [f64x4; GATES] {
+    bias: [f32x8; GATES],
+    weights: &[[f32x8; GATES]],
+    values: &[f32],
+) -> [f32x8; GATES] {
     let mut sums = bias;
     for (weights, value) in weights.iter().zip(values) {
-        let value = f64x4::splat(*value);
+        let value = f32x8::splat(*value);
         for gate in 0..GATES {
             sums[gate] += weights[gate] * value;
         }
@@ -247,17 +247,20 @@ fn weighted_sums(
     sums
 }
 
-fn sigmoid(at: f64x4) -> f64x4 {
-    f64x4::ONE / (f64x4::ONE + (-at).exp())
+/// Beyond it a sigmoid is zero in this precision, and the exponential overflows.
+const MAX_EXPONENT: f32 = 80.0;
+
+fn sigmoid(at: f32x8) -> f32x8 {
+    f32x8::ONE / (f32x8::ONE + (-at).min(f32x8::splat(MAX_EXPONENT)).exp())
 }
 
-fn tanh(at: f64x4) -> f64x4 {
-    let two = f64x4::splat(2.0);
-    two * sigmoid(two * at) - f64x4::ONE
+fn tanh(at: f32x8) -> f32x8 {
+    let two = f32x8::splat(2.0);
+    two * sigmoid(two * at) - f32x8::ONE
 }
 
 /// Convergence tolerance of outputs: a thousandth of the force scale.
-const WARM_UP_TOLERANCE: f64 = 1e-3;
+const WARM_UP_TOLERANCE: f32 = 1e-3;
 /// Maximum warm-up in steps: ten seconds at 1 kHz, also for networks with unlimited memory.
 pub const MAX_WARM_UP: u16 = 10_000;
 
@@ -266,7 +269,7 @@ pub const MAX_WARM_UP: u16 = 10_000;
 pub fn warm_up_steps(network: &Network) -> u16 {
     let inputs = network.inputs.len();
     let rest = vec![0.0; inputs];
-    let last_difference = |end: f64| {
+    let last_difference = |end: f32| {
         let mut driven = FloatRun::new(network);
         let driven_inputs = vec![end; inputs];
         for _ in 0..MAX_WARM_UP {

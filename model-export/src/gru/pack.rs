@@ -33,7 +33,7 @@ pub trait PackedNetwork: Debug + Send + Sync {
 }
 
 /// A packed network with its state.
-pub trait NetworkRun {
+pub trait NetworkRun: Send {
     /// Numbers of the predicted sensors.
     fn sensors(&self) -> Vec<usize>;
     /// One step over a frame's estimates by the device's own code; see [`gru::apply`].

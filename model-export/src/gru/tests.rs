@@ -106,18 +106,19 @@ fn errors(network: &Network, steps: usize) -> Errors {
             InputSource::Field { sensor, axis } => value(usize::from(sensor * 3 + axis)) as i32,
             _ => 0,
         });
-        let inputs: Vec<f64> = (0..network.inputs.len()).map(|n| value(n) / SPAN_G).collect();
+        let inputs: Vec<f32> =
+            (0..network.inputs.len()).map(|n| (value(n) / SPAN_G) as f32).collect();
         let outputs = float.step(&inputs).to_vec();
         let states = run.states();
         for (layer, states) in states.iter().enumerate() {
             for (&fixed, exact) in states.iter().zip(float.state(layer)) {
-                let error = f64::from(fixed) / f64::from(1 << 30) - exact;
+                let error = f64::from(fixed) / f64::from(1 << 30) - f64::from(*exact);
                 errors.thirds[3 * step / steps] += error * error;
                 errors.worst = errors.worst.max(error.abs());
             }
         }
         for (fixed, exact) in run.outputs().into_iter().zip(outputs) {
-            let error = (f64::from(fixed) / f64::from(1 << 26) - exact).abs();
+            let error = (f64::from(fixed) / f64::from(1 << 26) - f64::from(exact)).abs();
             errors.worst_output = errors.worst_output.max(error);
         }
     }

@@ -5,7 +5,7 @@ use std::time::Duration;
 use anyhow::Result;
 use model_export::gru::file::NetworkFile;
 use model_export::gru::train::dataset::Sequence;
-use model_export::gru::train::forward::Prediction;
+use model_export::gru::train::predictions::Prediction;
 use model_export::gru::train::trainer::{BestEpoch, Trainer, TrainingSettings};
 
 use crate::network_calibration::NetworkCalibration;
@@ -108,7 +108,7 @@ impl TrainingResult {
         let held_out = &data.held_out;
         let sigma = NetworkCalibration::of(trainer, &data.training, held_out, &data.built)?;
         let mut evaluated = Vec::new();
-        for (sensors, forces) in trainer.groups.iter().zip(trainer.predictions()?) {
+        for (sensors, forces) in trainer.groups.iter().zip(trainer.predictions()) {
             for (force, samples) in forces.iter().enumerate() {
                 let (sensor, axis) = (sensors[force / 2], force % 2);
                 let factor = sigma.sigma_factor(sensor, axis);

@@ -19,6 +19,7 @@ use model_export::recordings::description::NominalDesign;
 use model_export::recordings::noise::WhiteNoise;
 use model_export::recordings::stream::{RawRow, RawStream};
 use nalgebra::Vector3;
+use rayon::prelude::*;
 
 use crate::calibration::{Coverage, PredictedError, SIGMA_MULTIPLES, subtract_tare};
 use crate::replay::tare::{TareEstimator, friction_n};
@@ -27,8 +28,8 @@ use device_run::channel_map::SensorChannels;
 use device_run::networks::{FloatForce, NetworkSet, ReplayNetworks};
 use device_run::{DeviceRow, ReplayModels};
 
-/// Rows that are read and estimated together; only these two are timed.
-const CHUNK: usize = 4096;
+/// Rows that are read and estimated together, while the next ones are read; only reading and estimating are timed.
+const CHUNK: usize = 1024;
 /// Noise of a linear interpolation between two noisy rows, relative to one row, root mean square: the mean
 /// of (1-s)^2 + s^2 is 2/3.
 const INTERPOLATED_NOISE: f64 = 0.816_496_580_927_726;
@@ -190,9 +191,7 @@ pub fn replay_each(
         .zip(&tables)
         .map(|(models, tables)| ModelReplay::new(*models, tables, name, &sensors))
         .collect();
-    let mut rows = Vec::with_capacity(CHUNK);
-    let mut count = 0;
-    loop {
+    let mut read = |rows: &mut Vec<DeviceRow>| -> Result<Duration, DataError> {
         rows.clear();
         let start = Instant::now();
         while rows.len() < CHUNK
@@ -200,16 +199,25 @@ pub fn replay_each(
         {
             rows.push(row);
         }
-        let reading = start.elapsed();
-        if rows.is_empty() {
-            break;
-        }
+        Ok(start.elapsed())
+    };
+    let (mut rows, mut next) = (Vec::with_capacity(CHUNK), Vec::with_capacity(CHUNK));
+    let mut reading = read(&mut rows)?;
+    let mut count = 0;
+    while !rows.is_empty() {
         count += rows.len() as u64;
-        for (model, replay) in replays.iter_mut().enumerate() {
+        let evaluate = |replay: &mut ModelReplay| {
             replay.evaluation.result.spent += reading;
-            replay.update(&rows, &sensors, |sample| on_sample(model, sample));
+            replay.update(&rows, &sensors);
+        };
+        let (next_reading, ()) =
+            rayon::join(|| read(&mut next), || replays.par_iter_mut().for_each(evaluate));
+        reading = next_reading?;
+        for (model, replay) in replays.iter_mut().enumerate() {
+            replay.samples.drain(..).for_each(|sample| on_sample(model, sample));
         }
         done(count);
+        std::mem::swap(&mut rows, &mut next);
     }
     let force_noise = input.stream().force_noise();
     Ok(replays.into_iter().map(|replay| replay.finish(&sensors, &force_noise)).collect())
@@ -226,6 +234,7 @@ struct ModelReplay<'a> {
     first_s: Option<f64>,
     estimates: Vec<Estimate>,
     network_valid: Vec<bool>,
+    samples: Vec<ForceSample>,
     evaluation: Evaluation<'a>,
 }
 
@@ -246,16 +255,13 @@ impl<'a> ModelReplay<'a> {
             first_s: None,
             estimates: Vec::with_capacity(CHUNK * sensors.len()),
             network_valid: Vec::with_capacity(CHUNK * sensors.len()),
+            samples: Vec::with_capacity(CHUNK * sensors.len()),
             evaluation: Evaluation::new(models, name, sensors),
         }
     }
 
-    fn update(
-        &mut self,
-        rows: &[DeviceRow],
-        sensors: &[SensorChannels],
-        mut on_sample: impl FnMut(ForceSample),
-    ) {
+    /// Estimates and evaluates these rows; valid estimates are added to `samples`.
+    fn update(&mut self, rows: &[DeviceRow], sensors: &[SensorChannels]) {
         let estimator = &mut self.estimator;
         self.estimates.clear();
         self.network_valid.clear();
@@ -309,7 +315,7 @@ impl<'a> ModelReplay<'a> {
                 let ideal = ideal.unwrap_or(estimate);
                 let sample =
                     self.evaluation.update((i, channels), &row.raw, estimate, ideal, network);
-                sample.into_iter().for_each(&mut on_sample);
+                self.samples.extend(sample);
             }
         }
     }
@@ -440,17 +446,15 @@ impl<'a> Evaluation<'a> {
 /// in time so that no bootstrap block contains rows of two.
 pub fn coverage(recordings: &[RecordingReplay]) -> Option<Coverage> {
     const RECORDING_OFFSET_S: f64 = 1e4;
-    let mut forces = Vec::new();
-    for (place, recording) in recordings.iter().enumerate() {
-        for (sensor, predictions) in recording.sensors.iter().zip(&recording.predictions) {
-            for (replay, errors) in sensor.axes.iter().zip(predictions) {
-                let mut errors = subtract_tare(errors, replay.tare.map_or(0.0, |(tare, _)| tare));
-                let first_s = errors.first().map_or(0.0, |error| error.time_s);
-                let shift_s = RECORDING_OFFSET_S * place as f64 - first_s;
-                errors.iter_mut().for_each(|error| error.time_s += shift_s);
-                forces.push(errors);
-            }
-        }
-    }
-    Coverage::of(forces.iter().map(Vec::as_slice))
+    let of_recording = |(place, recording): (usize, &'_ RecordingReplay)| {
+        let sensors = recording.sensors.iter().zip(&recording.predictions);
+        let forces = sensors.flat_map(|(sensor, predictions)| sensor.axes.iter().zip(predictions));
+        forces.flat_map(move |(replay, errors)| {
+            let first_s = errors.first().map_or(0.0, |error| error.time_s);
+            let shift_s = RECORDING_OFFSET_S * place as f64 - first_s;
+            let tared = subtract_tare(errors, replay.tare.map_or(0.0, |(tare, _)| tare));
+            tared.map(move |error| PredictedError { time_s: error.time_s + shift_s, ..error })
+        })
+    };
+    Coverage::of(recordings.iter().enumerate().flat_map(of_recording))
 }

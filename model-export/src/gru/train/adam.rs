@@ -31,22 +31,22 @@ impl Adam {
         Self { steps: 0, first: zero.clone(), second: zero }
     }
 
-    /// One step; `gradients` are in the order of the parameters.
+    /// One step.
     pub fn step(
         &mut self,
         parameters: &mut TrainableParameters,
-        gradients: &[Vec<f32>],
+        gradients: &TrainableParameters,
         rate: f64,
     ) {
         self.steps += 1;
         let steps = f64::from(self.steps);
         let mean = 1.0 / (1.0 - libm::pow(FIRST, steps));
         let squares = 1.0 / (1.0 - libm::pow(SECOND, steps));
-        for (i, gradients) in gradients.iter().enumerate() {
+        for (i, gradients) in gradients.all.iter().enumerate() {
             let kind = parameters.all[i].kind;
             let decays = matches!(kind, TensorKind::Weights | TensorKind::State);
             let kept = if decays { 1.0 - rate * WEIGHT_DECAY } else { 1.0 };
-            let values = parameters.all[i].values.iter_mut().zip(gradients);
+            let values = parameters.all[i].values.iter_mut().zip(&gradients.values);
             let memory = self.first.all[i].values.iter_mut();
             let memory = memory.zip(self.second.all[i].values.iter_mut());
             for ((value, &gradient), (first, second)) in values.zip(memory) {
@@ -61,20 +61,15 @@ impl Adam {
     }
 }
 
-/// Scales the gradient of each network to [`MAX_GRADIENT_NORM`].
-pub fn clip_gradients(gradients: &mut [Vec<f32>], networks: usize) {
-    for network in 0..networks {
-        let part = |gradients: &Vec<f32>| {
-            let each = gradients.len() / networks;
-            network * each..(network + 1) * each
-        };
-        let squares = gradients.iter().flat_map(|s| &s[part(s)]);
+/// Scales the gradient of each network to at most [`MAX_GRADIENT_NORM`].
+pub fn clip_gradients(gradients: &mut TrainableParameters) {
+    for network in 0..gradients.size.networks {
+        let squares = gradients.all.iter().flat_map(|tensor| tensor.of(network));
         let length = squares.map(|s| f64::from(*s).powi(2)).sum::<f64>().sqrt();
         if length > MAX_GRADIENT_NORM {
             let factor = (MAX_GRADIENT_NORM / length) as f32;
-            for gradients in gradients.iter_mut() {
-                let range = part(gradients);
-                gradients[range].iter_mut().for_each(|s| *s *= factor);
+            for tensor in &mut gradients.all {
+                tensor.of_mut(network).iter_mut().for_each(|s| *s *= factor);
             }
         }
     }

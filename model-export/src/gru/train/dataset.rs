@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use crate::gru::network::{Input, ScaledInput, Target};
 use crate::gru::train::TrainError;
+use crate::gru::train::backprop::StreamRows;
 
 /// One sensor of one recording.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -241,25 +242,28 @@ impl ScaledSequence {
         Self { rows, inputs, forces, x, y, weight }
     }
 
-    /// Appends `length` rows of a network from `from` on to the three lists. Rows after the end repeat the last
-    /// one with zero weight; all weights are zero where `counts` is false.
+    /// Replaces `into` by `length` rows of a network from `from` on. Rows after the end repeat the last one with zero weight; all
+    /// weights are zero where `counts` is false.
     pub fn window(
         &self,
         network: usize,
         from: usize,
         length: usize,
         counts: bool,
-        into: &mut [Vec<f32>; 3],
+        into: &mut StreamRows,
     ) {
+        for list in [&mut into.inputs, &mut into.truth, &mut into.weight] {
+            list.clear();
+        }
         for row in from..from + length {
             let at = network * self.rows + row.min(self.rows - 1);
             let forces = at * self.forces..(at + 1) * self.forces;
-            into[0].extend(&self.x[at * self.inputs..(at + 1) * self.inputs]);
-            into[1].extend(&self.y[forces.clone()]);
+            into.inputs.extend(&self.x[at * self.inputs..(at + 1) * self.inputs]);
+            into.truth.extend(&self.y[forces.clone()]);
             if counts && row < self.rows {
-                into[2].extend(&self.weight[forces])
+                into.weight.extend(&self.weight[forces])
             } else {
-                into[2].extend(std::iter::repeat_n(0.0, self.forces))
+                into.weight.extend(std::iter::repeat_n(0.0, self.forces))
             }
         }
     }

@@ -2,20 +2,22 @@
 //!
 //! - [`dataset`]: recordings as training sequences, and their scaling.
 //! - [`parameters`]: trainable tensors, their initial values and the device's weight limits.
-//! - [`recurrence`]: one GRU layer as a single operation, forward and backward, with its activations.
-//! - [`forward`]: forward pass, loss and evaluation.
-//! - [`tbptt`]: batches for truncated back-propagation through time.
+//! - [`recurrence`]: one GRU layer, forward and backward, with its activations.
+//! - [`backprop`]: loss and gradients of one network.
+//! - [`tbptt`]: windows for truncated back-propagation through time.
 //! - [`adam`]: the optimiser.
 //! - [`trainer`]: epochs, learning rate schedule and early stopping.
+//! - [`predictions`]: evaluation of trained networks.
 //! - [`checkpoint`]: a training run on disk.
 //!
 //! The same seed and recordings give the same bytes on any number of threads, with or without interruptions.
 
 pub mod adam;
+pub mod backprop;
 pub mod checkpoint;
 pub mod dataset;
-pub mod forward;
 pub mod parameters;
+pub mod predictions;
 pub mod recurrence;
 pub mod tbptt;
 pub mod trainer;
@@ -48,8 +50,6 @@ pub enum TrainError {
         "the loss of the network of sensors {sensors:?} is not finite after epoch {epoch}; train with a lower --rate"
     )]
     Diverged { sensors: Vec<u32>, epoch: u32 },
-    #[error(transparent)]
-    Tensors(#[from] candle_core::Error),
     #[error(transparent)]
     File(#[from] crate::recordings::DataError),
 }

@@ -162,7 +162,7 @@ impl TrainableParameters {
 }
 
 /// Transposes rows of `columns` values.
-fn transposed(values: &[f32], columns: usize) -> Vec<f32> {
+pub fn transposed(values: &[f32], columns: usize) -> Vec<f32> {
     (0..columns).flat_map(|column| values.iter().skip(column).step_by(columns).copied()).collect()
 }
 

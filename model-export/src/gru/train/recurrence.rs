@@ -1,265 +1,234 @@
-//! Recurrence of one GRU layer as a single operation, forward and backward.
+//! One layer of gated recurrent units over consecutive rows, forward and backward.
 //!
-//! Time-independent products use the tensor library. The recurrence has one small step per row, for which
-//! single tensor operations cost many times the arithmetic; here a step is a few loops. Streams are
-//! independent, so the result does not depend on the number of threads.
+//! The loops run over the units of a row, so that the compiler vectorises them. No sum is formed across the lanes of a vector:
+//! results are the same bits on every processor.
 
 use crate::gru::network::GATES;
-use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Storage, Tensor, bail};
-use rayon::prelude::*;
-use std::sync::OnceLock;
+
+/// Weights of a layer.
+#[derive(Clone, Copy, Debug)]
+pub struct LayerWeights<'a> {
+    /// `inputs x GATES*hidden`.
+    pub input: &'a [f32],
+    /// `hidden x GATES*hidden`.
+    pub state: &'a [f32],
+    /// `2 x GATES*hidden`: the input's and the state's bias.
+    pub bias: &'a [f32],
+}
+
+/// Gradients of the loss by the weights, in the shapes of [`LayerWeights`].
+#[derive(Debug)]
+pub struct LayerGradients<'a> {
+    /// By the input's weights.
+    pub input: &'a mut [f32],
+    /// By the recurrent weights.
+    pub state: &'a mut [f32],
+    /// By both biases.
+    pub bias: &'a mut [f32],
+}
 
 /// Values saved for the backward pass per unit and row: reset, update, candidate, and the candidate's recurrent
 /// sum before the reset.
 const SAVED: usize = 4;
 
-/// The recurrence over `streams` of every network, from a state.
-///
-/// - first argument, `networks x streams x rows x GATES*hidden`: the products of the inputs, without bias;
-/// - second, `networks x hidden x GATES*hidden`: the recurrent weights;
-/// - third, `networks x 2 x GATES*hidden`: the input's and the state's bias;
-/// - result, `networks x streams x rows x hidden`: the states.
-pub struct Recurrence {
-    /// Units.
-    pub hidden: usize,
-    /// Streams of a network.
-    pub streams: usize,
-    /// Rows of a stream.
-    pub rows: usize,
-    /// The state before the first row, `networks x streams x hidden`.
-    pub start: Vec<f32>,
-    /// Values saved by the forward pass.
-    pub saved: OnceLock<Vec<f32>>,
+/// States of a layer, with what its backward pass needs.
+#[derive(Clone, Debug)]
+pub struct LayerTape {
+    hidden: usize,
+    /// `(rows + 1) x hidden`; the first is the state before the first row.
+    states: Vec<f32>,
+    /// `rows x SAVED*hidden`.
+    saved: Vec<f32>,
+    /// Gradients by the weighted sums of the inputs, `rows x GATES*hidden`.
+    input_sums: Vec<f32>,
+    /// The same of the states.
+    state_sums: Vec<f32>,
 }
 
-fn values<'a>(storage: &'a CpuStorage, layout: &Layout) -> Result<&'a [f32]> {
-    match layout.contiguous_offsets() {
-        Some((from, to)) => Ok(&storage.as_slice::<f32>()?[from..to]),
-        None => bail!("the recurrence needs its arguments in one piece"),
+impl LayerTape {
+    /// Of `rows` rows, from the reset state.
+    pub fn new(hidden: usize, rows: usize) -> Self {
+        let sums = vec![0.0; rows * GATES * hidden];
+        Self {
+            hidden,
+            states: vec![0.0; (rows + 1) * hidden],
+            saved: vec![0.0; rows * SAVED * hidden],
+            input_sums: sums.clone(),
+            state_sums: sums,
+        }
+    }
+
+    /// States after each row, `rows x hidden`.
+    pub fn states(&self) -> &[f32] {
+        &self.states[self.hidden..]
+    }
+
+    /// Continues from the last state.
+    #[inline(always)]
+    pub fn carry_state(&mut self) {
+        let last = self.states.len() - self.hidden;
+        self.states.copy_within(last.., 0);
+    }
+
+    /// Forward pass over `inputs`, `rows x inputs`.
+    #[inline(always)]
+    pub fn forward(&mut self, weights: LayerWeights, inputs: &[f32]) {
+        let hidden = self.hidden;
+        let width = GATES * hidden;
+        let (input_bias, state_bias) = weights.bias.split_at(width);
+        let rows = inputs.chunks_exact(weights.input.len() / width);
+        let sums = self.input_sums.chunks_exact_mut(width);
+        let sums = sums.zip(self.state_sums.chunks_exact_mut(width));
+        let saved = self.saved.chunks_exact_mut(SAVED * hidden);
+        for (row, ((input, saved), (outer, inner))) in rows.zip(saved).zip(sums).enumerate() {
+            let (before, after) = self.states.split_at_mut((row + 1) * hidden);
+            let (before, after) = (&before[row * hidden..], &mut after[..hidden]);
+            weighted_sums(outer, input_bias, input.iter(), weights.input);
+            weighted_sums(inner, state_bias, before.iter(), weights.state);
+            let (gates, candidates) = saved.split_at_mut(2 * hidden);
+            let (candidates, saved_inner) = candidates.split_at_mut(hidden);
+            for (gate, (outer, inner)) in gates.iter_mut().zip(outer.iter().zip(&*inner)) {
+                *gate = sigmoid(outer + inner);
+            }
+            let (reset, update) = gates.split_at(hidden);
+            let (outer, inner) = (&outer[2 * hidden..], &inner[2 * hidden..]);
+            saved_inner.copy_from_slice(inner);
+            let sums = outer.iter().zip(reset.iter().zip(inner));
+            for (candidate, (outer, (reset, inner))) in candidates.iter_mut().zip(sums) {
+                *candidate = tanh(outer + reset * inner);
+            }
+            let known = before.iter().zip(update.iter().zip(&*candidates));
+            for (after, (before, (update, candidate))) in after.iter_mut().zip(known) {
+                *after = candidate + update * (before - candidate);
+            }
+        }
+    }
+
+    /// Backward pass over the rows of the forward pass. `gradient` is that by the states, `rows x hidden`;
+    /// `transposed_state` are the recurrent weights, `GATES*hidden x hidden`.
+    #[inline(always)]
+    pub fn backward(
+        &mut self,
+        transposed_state: &[f32],
+        inputs: &[f32],
+        gradient: &[f32],
+        into: LayerGradients,
+    ) {
+        let hidden = self.hidden;
+        let width = GATES * hidden;
+        // By the state after the row.
+        let mut later = vec![0.0; hidden];
+        let mut by_gate = vec![0.0; width];
+        let zero = vec![0.0; hidden];
+        let sums = self.input_sums.chunks_exact_mut(width);
+        let sums = sums.zip(self.state_sums.chunks_exact_mut(width));
+        let rows = self.saved.chunks_exact(SAVED * hidden).zip(gradient.chunks_exact(hidden));
+        let rows = rows.zip(self.states.chunks_exact(hidden)).zip(sums);
+        for (((saved, gradient), before), (outer, inner)) in rows.rev() {
+            let (reset, saved) = saved.split_at(hidden);
+            let (update, saved) = saved.split_at(hidden);
+            let (candidate, sum) = saved.split_at(hidden);
+            let (outer_reset, outer) = outer.split_at_mut(hidden);
+            let (outer_update, outer_candidate) = outer.split_at_mut(hidden);
+            let (inner_gates, inner_candidate) = inner.split_at_mut(2 * hidden);
+            for i in 0..hidden {
+                let state = later[i] + gradient[i];
+                let d_candidate = state * (1.0 - update[i]) * (1.0 - candidate[i] * candidate[i]);
+                outer_candidate[i] = d_candidate;
+                outer_update[i] =
+                    state * (before[i] - candidate[i]) * update[i] * (1.0 - update[i]);
+                outer_reset[i] = d_candidate * sum[i] * reset[i] * (1.0 - reset[i]);
+                inner_candidate[i] = d_candidate * reset[i];
+                later[i] = state * update[i];
+            }
+            inner_gates[..hidden].copy_from_slice(outer_reset);
+            inner_gates[hidden..].copy_from_slice(outer_update);
+            let gates = by_gate.chunks_exact_mut(hidden).zip(inner.chunks_exact(hidden));
+            for ((by_gate, inner), weights) in
+                gates.zip(transposed_state.chunks_exact(hidden * hidden))
+            {
+                weighted_sums(by_gate, &zero, inner.iter(), weights);
+                add_scaled(&mut later, 1.0, by_gate);
+            }
+        }
+        outer_products(into.input, inputs, (&self.input_sums, width));
+        outer_products(into.state, &self.states, (&self.state_sums, width));
+        let (input_bias, state_bias) = into.bias.split_at_mut(width);
+        for (bias, sums) in [(input_bias, &self.input_sums), (state_bias, &self.state_sums)] {
+            bias.fill(0.0);
+            sums.chunks_exact(width).for_each(|row| add_scaled(bias, 1.0, row));
+        }
+    }
+
+    /// Gradient by the inputs after the backward pass, `rows x inputs`; `transposed_input` are the input's weights,
+    /// `GATES*hidden x inputs`.
+    #[inline(always)]
+    pub fn input_gradient(&self, transposed_input: &[f32], gradient: &mut [f32]) {
+        let width = GATES * self.hidden;
+        let inputs = transposed_input.len() / width;
+        let zero = vec![0.0; inputs];
+        let rows = gradient.chunks_exact_mut(inputs).zip(self.input_sums.chunks_exact(width));
+        for (gradient, sums) in rows {
+            weighted_sums(gradient, &zero, sums.iter(), transposed_input);
+        }
     }
 }
 
-fn on_cpu(storage: &Storage) -> Result<&CpuStorage> {
-    match storage {
-        Storage::Cpu(storage) => Ok(storage),
-        _ => bail!("the recurrence runs on the processor"),
+/// `sums = bias + values * weights`, where the weights have a row for each value.
+#[inline(always)]
+pub fn weighted_sums<'a>(
+    sums: &mut [f32],
+    bias: &[f32],
+    values: impl Iterator<Item = &'a f32> + Clone,
+    weights: &[f32],
+) {
+    // The three gates of eight units, one vector, one number.
+    let done = blocks_of_sums::<24>(sums, 0, bias, values.clone(), weights);
+    let done = blocks_of_sums::<8>(sums, done, bias, values.clone(), weights);
+    blocks_of_sums::<1>(sums, done, bias, values, weights);
+}
+
+/// Forms sums from the place `at` on in blocks that fit the registers; the place after the last one.
+#[inline(always)]
+fn blocks_of_sums<'a, const BLOCK: usize>(
+    sums: &mut [f32],
+    mut at: usize,
+    bias: &[f32],
+    values: impl Iterator<Item = &'a f32> + Clone,
+    weights: &[f32],
+) -> usize {
+    let columns = sums.len();
+    while at + BLOCK <= columns {
+        let mut block = [0.0; BLOCK];
+        block.copy_from_slice(&bias[at..at + BLOCK]);
+        for (value, row) in values.clone().zip(weights.chunks_exact(columns)) {
+            for (sum, weight) in block.iter_mut().zip(&row[at..at + BLOCK]) {
+                *sum += value * weight;
+            }
+        }
+        sums[at..at + BLOCK].copy_from_slice(&block);
+        at += BLOCK;
+    }
+    at
+}
+
+/// Sum over all rows of the outer products of a row on the left and a row of `width` on the right.
+#[inline(always)]
+pub fn outer_products(products: &mut [f32], left: &[f32], (right, width): (&[f32], usize)) {
+    let height = products.len() / width;
+    let zero = vec![0.0; width];
+    for (at, products) in products.chunks_exact_mut(width).enumerate() {
+        weighted_sums(products, &zero, left.iter().skip(at).step_by(height), right);
     }
 }
 
 /// `sum += factor * row`.
-fn add_scaled(sum: &mut [f32], factor: f32, row: &[f32]) {
+#[inline(always)]
+pub fn add_scaled(sum: &mut [f32], factor: f32, row: &[f32]) {
     for (sum, value) in sum.iter_mut().zip(row) {
         *sum += factor * value;
     }
 }
-
-impl Recurrence {
-    fn start_of(&self, stream: usize) -> &[f32] {
-        &self.start[stream * self.hidden..][..self.hidden]
-    }
-
-    /// One stream forward.
-    fn forward(
-        &self,
-        start: &[f32],
-        products: &[f32],
-        weights: &[f32],
-        bias: &[f32],
-        (states, saved): (&mut [f32], &mut [f32]),
-    ) {
-        let hidden = self.hidden;
-        let (input_bias, state_bias) = bias.split_at(GATES * hidden);
-        let mut state = start.to_vec();
-        let mut sums = vec![0.0; GATES * hidden];
-        let rows = products.chunks_exact(GATES * hidden);
-        let left = states.chunks_exact_mut(hidden);
-        let left = left.zip(saved.chunks_exact_mut(SAVED * hidden));
-        for (product, (states, saved)) in rows.zip(left) {
-            sums.copy_from_slice(state_bias);
-            for (&h, row) in state.iter().zip(weights.chunks_exact(GATES * hidden)) {
-                add_scaled(&mut sums, h, row);
-            }
-            // Separate loops, so that the compiler vectorises them.
-            let (gates, candidates) = saved.split_at_mut(2 * hidden);
-            let (candidates, inner) = candidates.split_at_mut(hidden);
-            for (i, gate) in gates.iter_mut().enumerate() {
-                *gate = sigmoid(product[i] + input_bias[i] + sums[i]);
-            }
-            inner.copy_from_slice(&sums[2 * hidden..]);
-            let (reset, update) = gates.split_at(hidden);
-            let bias = product[2 * hidden..].iter().zip(&input_bias[2 * hidden..]);
-            let outer = bias.zip(reset.iter().zip(&*inner));
-            for (candidate, ((product, bias), (reset, inner))) in candidates.iter_mut().zip(outer) {
-                *candidate = tanh(product + bias + reset * inner);
-            }
-            for (h, (candidate, update)) in state.iter_mut().zip(candidates.iter().zip(update)) {
-                *h = candidate + update * (*h - candidate);
-            }
-            states.copy_from_slice(&state);
-        }
-    }
-
-    /// Backward pass of one stream; `transposed` are the recurrent weights row by row of the sums.
-    fn backward(
-        &self,
-        start: &[f32],
-        transposed: &[f32],
-        (states, saved): (&[f32], &[f32]),
-        gradient: &[f32],
-        products: &mut [f32],
-    ) -> Gradients {
-        let hidden = self.hidden;
-        let mut gradients = Gradients::zero(hidden);
-        let mut state_gradient = vec![0.0; hidden];
-        let mut sums = vec![0.0; GATES * hidden];
-        for row in (0..self.rows).rev() {
-            let saved_row = &saved[row * SAVED * hidden..][..SAVED * hidden];
-            let before = match row {
-                0 => start,
-                _ => &states[(row - 1) * hidden..][..hidden],
-            };
-            let product = &mut products[row * GATES * hidden..][..GATES * hidden];
-            let expected = &gradient[row * hidden..][..hidden];
-            for i in 0..hidden {
-                let [reset, update, candidate, inner] =
-                    [0, 1, 2, 3].map(|kind| saved_row[kind * hidden + i]);
-                let state = state_gradient[i] + expected[i];
-                let d_candidate = state * (1.0 - update) * (1.0 - candidate * candidate);
-                let d_update = state * (before[i] - candidate) * update * (1.0 - update);
-                let d_reset = d_candidate * inner * reset * (1.0 - reset);
-                state_gradient[i] = state * update;
-                product[i] = d_reset;
-                product[hidden + i] = d_update;
-                product[2 * hidden + i] = d_candidate;
-                sums[i] = d_reset;
-                sums[hidden + i] = d_update;
-                sums[2 * hidden + i] = d_candidate * reset;
-            }
-            for (&gradient, weights) in sums.iter().zip(transposed.chunks_exact(hidden)) {
-                add_scaled(&mut state_gradient, gradient, weights);
-            }
-            let rows = gradients.weights.chunks_exact_mut(GATES * hidden);
-            for (&h, weights) in before.iter().zip(rows) {
-                add_scaled(weights, h, &sums);
-            }
-            let (input_bias, state_bias) = gradients.bias.split_at_mut(GATES * hidden);
-            add_scaled(input_bias, 1.0, product);
-            add_scaled(state_bias, 1.0, &sums);
-        }
-        gradients
-    }
-
-    /// Transposed recurrent weights of every network.
-    fn transposed(&self, weights: &[f32]) -> Vec<f32> {
-        let (hidden, sums) = (self.hidden, GATES * self.hidden);
-        let of_network = |weights: &[f32]| -> Vec<f32> {
-            (0..sums * hidden).map(|i| weights[(i % hidden) * sums + i / hidden]).collect()
-        };
-        weights.chunks_exact(hidden * sums).flat_map(of_network).collect()
-    }
-}
-
-/// Gradients of the weights of one stream.
-struct Gradients {
-    weights: Vec<f32>,
-    bias: Vec<f32>,
-}
-
-impl Gradients {
-    fn zero(hidden: usize) -> Self {
-        Self { weights: vec![0.0; GATES * hidden * hidden], bias: vec![0.0; 2 * GATES * hidden] }
-    }
-
-    fn add(&mut self, other: &Self) {
-        add_scaled(&mut self.weights, 1.0, &other.weights);
-        add_scaled(&mut self.bias, 1.0, &other.bias);
-    }
-}
-
-impl CustomOp3 for Recurrence {
-    fn name(&self) -> &'static str {
-        "recurrence"
-    }
-
-    fn cpu_fwd(
-        &self,
-        s1: &CpuStorage,
-        l1: &Layout,
-        s2: &CpuStorage,
-        l2: &Layout,
-        s3: &CpuStorage,
-        l3: &Layout,
-    ) -> Result<(CpuStorage, Shape)> {
-        let (products, weights, bias) = (values(s1, l1)?, values(s2, l2)?, values(s3, l3)?);
-        let (hidden, networks) = (self.hidden, l2.dims()[0]);
-        let streams = networks * self.streams;
-        let mut states = vec![0.0; streams * self.rows * hidden];
-        let mut saved = vec![0.0; streams * self.rows * SAVED * hidden];
-        let left = states.par_chunks_mut(self.rows * hidden);
-        left.zip(saved.par_chunks_mut(self.rows * SAVED * hidden))
-            .zip(products.par_chunks(self.rows * GATES * hidden))
-            .enumerate()
-            .for_each(|(stream, (left, products))| {
-                let network = stream / self.streams;
-                let weights = &weights[network * GATES * hidden * hidden..];
-                let bias = &bias[network * 2 * GATES * hidden..][..2 * GATES * hidden];
-                self.forward(self.start_of(stream), products, weights, bias, left);
-            });
-        if self.saved.set(saved).is_err() {
-            bail!("the recurrence goes forward once");
-        }
-        let shape = (networks, self.streams, self.rows, hidden);
-        Ok((CpuStorage::F32(states), shape.into()))
-    }
-
-    fn bwd(
-        &self,
-        products: &Tensor,
-        weights: &Tensor,
-        bias: &Tensor,
-        states: &Tensor,
-        gradient: &Tensor,
-    ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
-        let (hidden, networks) = (self.hidden, weights.dims()[0]);
-        let Some(saved) = self.saved.get() else {
-            bail!("the recurrence goes forward before it goes back");
-        };
-        let gradient = gradient.contiguous()?;
-        let (weights_lock, weights_layout) = weights.storage_and_layout();
-        let (states_lock, states_layout) = states.storage_and_layout();
-        let (gradient_lock, gradient_layout) = gradient.storage_and_layout();
-        let transposed = self.transposed(values(on_cpu(&weights_lock)?, weights_layout)?);
-        let states = values(on_cpu(&states_lock)?, states_layout)?;
-        let gradient = values(on_cpu(&gradient_lock)?, gradient_layout)?;
-        let streams = networks * self.streams;
-        let mut d_products = vec![0.0; streams * self.rows * GATES * hidden];
-        let known = states.par_chunks(self.rows * hidden);
-        let known = known.zip(saved.par_chunks(self.rows * SAVED * hidden));
-        let gradients: Vec<Gradients> = d_products
-            .par_chunks_mut(self.rows * GATES * hidden)
-            .zip(known.zip(gradient.par_chunks(self.rows * hidden)))
-            .enumerate()
-            .map(|(stream, (products, (known, gradient)))| {
-                let transposed = &transposed[stream / self.streams * GATES * hidden * hidden..];
-                let transposed = &transposed[..GATES * hidden * hidden];
-                self.backward(self.start_of(stream), transposed, known, gradient, products)
-            })
-            .collect();
-        // Summed in a fixed order, for equal bits.
-        let (mut d_weights, mut d_bias) = (Vec::new(), Vec::new());
-        for of_network in gradients.chunks(self.streams) {
-            let mut sum = Gradients::zero(hidden);
-            of_network.iter().for_each(|gradients| sum.add(gradients));
-            d_weights.extend(sum.weights);
-            d_bias.extend(sum.bias);
-        }
-        let like = |values: Vec<f32>, like: &Tensor| {
-            Tensor::from_vec(values, like.shape(), like.device()).map(Some)
-        };
-        Ok((like(d_products, products)?, like(d_weights, weights)?, like(d_bias, bias)?))
-    }
-}
-
 /// Limit beyond which the sigmoid is 0 or 1 and the exponential still finite.
 const EXP_LIMIT: f32 = 80.0;
 /// Adding and subtracting this rounds to the nearest integer, which is then in the lowest bits of the sum.
@@ -272,7 +241,8 @@ const LN_2_LOWER: f32 = -2.121_944_4e-4;
 const EXPONENT: (u32, u32) = (127, 23);
 
 /// Exponential, relative error 3e-7, argument clamped to ±80.
-fn exp(x: f32) -> f32 {
+#[inline(always)]
+pub fn exp(x: f32) -> f32 {
     let x = x.clamp(-EXP_LIMIT, EXP_LIMIT);
     let sum = x * std::f32::consts::LOG2_E + ROUNDING;
     let whole = sum - ROUNDING;
@@ -287,11 +257,13 @@ fn exp(x: f32) -> f32 {
 }
 
 /// `1 / (1 + exp(-x))`, to 2e-7.
+#[inline(always)]
 pub fn sigmoid(x: f32) -> f32 {
     1.0 / (1.0 + exp(-x))
 }
 
 /// The hyperbolic tangent, to 4e-7.
+#[inline(always)]
 pub fn tanh(x: f32) -> f32 {
     2.0 * sigmoid(2.0 * x) - 1.0
 }

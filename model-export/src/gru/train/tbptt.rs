@@ -1,9 +1,9 @@
-//! Batches for truncated back-propagation through time: parallel streams of rows, each with its own state.
+//! Windows for truncated back-propagation through time: parallel streams of rows, each with its own state.
 
-use candle_core::{Device, Result, Tensor};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+use crate::gru::train::backprop::StreamRows;
 use crate::gru::train::dataset::ScaledSequence;
 
 /// Rows of back-propagation: enough to identify the direction of a motion. Earlier rows act through the state,
@@ -29,18 +29,6 @@ pub struct StreamBatches {
     starts: Vec<Start>,
     /// Windows of every stream.
     pub windows: usize,
-}
-
-/// Inputs, true outputs and their weights of one window of all streams and networks.
-pub struct Batch {
-    /// `networks x streams*rows x inputs`.
-    pub inputs: Tensor,
-    /// `networks x streams*rows x forces`.
-    pub truth: Tensor,
-    /// The same.
-    pub weight: Tensor,
-    /// Total weight of each network.
-    pub counts: Vec<f32>,
 }
 
 impl StreamBatches {
@@ -71,37 +59,18 @@ impl StreamBatches {
         self.starts.len()
     }
 
-    /// One window of all streams. The first windows of a stream that starts within a recording have zero
+    /// Rows of one window of a stream for a network. The first windows of a stream that starts within a recording have zero
     /// weight.
-    pub fn batch(
+    pub fn window(
         &self,
         recordings: &[ScaledSequence],
-        networks: usize,
-        window: usize,
-    ) -> Result<Batch> {
-        let mut lists = [Vec::new(), Vec::new(), Vec::new()];
-        let mut counts = Vec::new();
-        for network in 0..networks {
-            let before = lists[2].len();
-            for start in &self.starts {
-                let from = start.row + window * WINDOW_ROWS;
-                let counts = window >= WARM_UP_WINDOWS || start.row == 0;
-                recordings[start.recording].window(network, from, WINDOW_ROWS, counts, &mut lists);
-            }
-            counts.push(lists[2][before..].iter().sum());
-        }
-        let rows = self.count() * WINDOW_ROWS;
-        let width = |list: &Vec<f32>| list.len() / (networks * rows);
-        let tensor = |list: Vec<f32>| {
-            let width = width(&list);
-            Tensor::from_vec(list, (networks, rows, width), &Device::Cpu)
-        };
-        let [inputs, truth, weight] = lists;
-        Ok(Batch {
-            inputs: tensor(inputs)?,
-            truth: tensor(truth)?,
-            weight: tensor(weight)?,
-            counts,
-        })
+        network: usize,
+        (stream, window): (usize, usize),
+        into: &mut StreamRows,
+    ) {
+        let start = &self.starts[stream];
+        let from = start.row + window * WINDOW_ROWS;
+        let counts = window >= WARM_UP_WINDOWS || start.row == 0;
+        recordings[start.recording].window(network, from, WINDOW_ROWS, counts, into);
     }
 }

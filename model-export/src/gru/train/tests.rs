@@ -1,23 +1,18 @@
-//! Training arithmetic versus the tensor library and versus plain equations.
+//! Training arithmetic compared with plain equations and with another program.
 
-use std::collections::HashMap;
-
-use candle_core::{DType, Device, Tensor, Var};
-use candle_nn::VarBuilder;
-use candle_nn::optim::{AdamW, Optimizer, ParamsAdamW};
-use candle_nn::rnn::{GRU, GRUConfig, RNN};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::gru::network::{Input, Layer, Network, OUTPUTS, ScaledInput, Target};
 use crate::gru::quantise::QuantisedNetwork;
-use crate::gru::train::adam::{Adam, WEIGHT_DECAY, clip_gradients};
+use crate::gru::train::adam::{Adam, clip_gradients};
+use crate::gru::train::backprop::{NetworkWeights, StreamPass, StreamRows, mean_output};
 use crate::gru::train::dataset::{
     ScaledSequence, Scaling, SensorSequence, Sequence, Topology, zero_force_weight,
 };
-use crate::gru::train::forward::{LayerStates, WeightTensors, losses};
 use crate::gru::train::parameters::{
-    MAX_CANDIDATE_WEIGHT, MAX_WEIGHT, NetworkSize, ParameterTensor, TrainableParameters, index,
+    MAX_CANDIDATE_WEIGHT, MAX_WEIGHT, NetworkSize, ParameterTensor, TensorKind,
+    TrainableParameters, index,
 };
 
 const SIZE: NetworkSize = NetworkSize { networks: 2, inputs: 3, hidden: 5, outputs: 4 };
@@ -61,9 +56,15 @@ fn plain_step(layer: &Layer, x: &[f64], h: &[f64]) -> Vec<f64> {
         .collect()
 }
 
+/// States of both layers.
+type States = [Vec<f64>; 2];
+
+fn reset() -> States {
+    [0, 1].map(|_| vec![0.0; SIZE.hidden])
+}
+
 /// The outputs of an exported network, row by row.
-fn plain(network: &Network, rows: &[Vec<f64>]) -> Vec<Vec<f64>> {
-    let mut states = [vec![0.0; network.hidden], vec![0.0; network.hidden]];
+fn plain(network: &Network, states: &mut States, rows: &[Vec<f64>]) -> Vec<Vec<f64>> {
     let outputs = rows.iter().map(|row| {
         states[0] = plain_step(&network.layers[0], row, &states[0]);
         states[1] = plain_step(&network.layers[1], &states[0], &states[1]);
@@ -94,134 +95,134 @@ fn exported(parameters: &TrainableParameters, network: usize) -> Network {
     }
 }
 
+/// Rows of one stream with references in two of three rows.
+fn rows(count: usize, seed: u64) -> StreamRows {
+    let mut weight = noise(2 * count, seed + 2);
+    weight.iter_mut().enumerate().for_each(|(at, w)| *w = if at % 3 == 0 { 0.0 } else { w.abs() });
+    StreamRows {
+        inputs: noise(count * SIZE.inputs, seed),
+        truth: noise(2 * count, seed + 1),
+        weight,
+    }
+}
+
+/// Inputs row by row.
+fn in_rows(inputs: &[f32]) -> Vec<Vec<f64>> {
+    let rows = inputs.chunks_exact(SIZE.inputs);
+    rows.map(|row| row.iter().map(|value| f64::from(*value)).collect()).collect()
+}
+
 #[test]
 fn forward_pass_equals_the_exported_network() {
-    let (streams, rows) = (3, 200);
     let parameters = weights();
-    let x = noise(SIZE.networks * streams * rows * SIZE.inputs, 1);
-    let shape = (SIZE.networks, streams, rows, SIZE.inputs);
-    let inputs = Tensor::from_slice(&x, shape, &Device::Cpu).unwrap();
-    let mut state = LayerStates::zero(SIZE, streams);
-    let weights = WeightTensors::of(&parameters).unwrap();
-    // In two windows, to carry the state over.
-    let mut halves = Vec::new();
-    for half in 0..2 {
-        let window = inputs.narrow(2, half * rows / 2, rows / 2).unwrap();
-        let window = window.contiguous().unwrap();
-        let window = window.reshape((SIZE.networks, streams * rows / 2, SIZE.inputs)).unwrap();
-        let outputs = weights.forward(&window, streams, &mut state).unwrap();
-        let outputs = outputs.reshape((SIZE.networks, streams, rows / 2, SIZE.outputs));
-        halves.push(outputs.unwrap());
-    }
-    let outputs = Tensor::cat(&halves, 2).unwrap();
     for network in 0..SIZE.networks {
-        let exported = exported(&parameters, network);
-        for stream in 0..streams {
-            let of_stream = |t: &Tensor| -> Vec<Vec<f64>> {
-                let t = t.get(network).unwrap().get(stream).unwrap();
-                t.to_dtype(DType::F64).unwrap().to_vec2().unwrap()
+        let weights = NetworkWeights::of(&parameters, network);
+        let mut pass = StreamPass::new(&parameters, 100);
+        let mut inputs = Vec::new();
+        let mut found = Vec::new();
+        // In two windows, to carry the state over.
+        for window in 0..2 {
+            pass.rows = rows(100, 10 * window);
+            inputs.extend(in_rows(&pass.rows.inputs));
+            pass.predict(&weights);
+            found.extend_from_slice(&pass.outputs);
+        }
+        let expected = plain(&exported(&parameters, network), &mut reset(), &inputs);
+        for (found, expected) in found.iter().zip(expected.iter().flatten()) {
+            assert!((f64::from(*found) - expected).abs() < 1e-5, "{found} {expected}");
+        }
+    }
+}
+
+/// Weighted negative log-likelihood of rows after a state, from the equations alone.
+fn plain_loss(parameters: &TrainableParameters, mut states: States, rows: &StreamRows) -> f64 {
+    let outputs = plain(&exported(parameters, 0), &mut states, &in_rows(&rows.inputs));
+    let known = rows.truth.iter().zip(&rows.weight).enumerate();
+    let losses = known.map(|(at, (truth, weight))| {
+        let (row, mean) = (&outputs[at / 2], mean_output(at % 2));
+        let log_sigma = row[mean + 2].clamp(-7.6, 0.7);
+        let share = (row[mean] - f64::from(*truth)) / log_sigma.exp();
+        f64::from(*weight) * (0.5 * share * share + log_sigma)
+    });
+    losses.sum()
+}
+
+#[test]
+fn gradients_equal_differences_of_the_loss() {
+    let parameters = weights();
+    let (before, rows) = (rows(40, 50), rows(40, 1));
+    let weights = NetworkWeights::of(&parameters, 0);
+    let mut found = StreamPass::new(&parameters, 40);
+    found.rows = before.clone();
+    found.predict(&weights);
+    found.rows = rows.clone();
+    found.train(&weights);
+    // Limits of the standard deviation are passed in both directions.
+    let logarithms = || found.outputs.chunks_exact(OUTPUTS).map(|row| row[2]);
+    assert!(logarithms().any(|raw| raw > 0.7) && logarithms().any(|raw| raw < 0.7));
+    // The state before the rows is a constant of truncated back-propagation.
+    let mut states = reset();
+    plain(&exported(&parameters, 0), &mut states, &in_rows(&before.inputs));
+    let loss = plain_loss(&parameters, states.clone(), &rows);
+    assert!((found.loss - loss).abs() < 1e-5 * loss.abs(), "{} {loss}", found.loss);
+
+    for (tensor, gradient) in found.gradients.iter().enumerate() {
+        let name = parameters.all[tensor].name;
+        let largest = gradient.iter().fold(0.0_f32, |a, b| a.max(b.abs()));
+        assert!(largest > 0.1, "{name}");
+        for (at, found) in gradient.iter().enumerate() {
+            let loss = |by: f32| {
+                let mut changed = parameters.clone();
+                changed.all[tensor].values[at] += by;
+                (
+                    f64::from(changed.all[tensor].values[at]),
+                    plain_loss(&changed, states.clone(), &rows),
+                )
             };
-            let expected = plain(&exported, &of_stream(&inputs));
-            for (found, expected) in of_stream(&outputs).iter().zip(&expected) {
-                for (found, expected) in found.iter().zip(expected) {
-                    assert!((found - expected).abs() < 1e-5, "{found} {expected}");
-                }
-            }
-        }
-    }
-}
-
-/// The library's own layer, step by step, over one network's variables.
-fn library_layer(layer: [&Tensor; 3], inputs: &Tensor) -> Tensor {
-    let [input, state, bias] = layer.map(|t| t.squeeze(0).unwrap());
-    let tensors = HashMap::from([
-        ("weight_ih_l0".to_owned(), input.t().unwrap()),
-        ("weight_hh_l0".to_owned(), state.t().unwrap()),
-        ("bias_ih_l0".to_owned(), bias.get(0).unwrap()),
-        ("bias_hh_l0".to_owned(), bias.get(1).unwrap()),
-    ]);
-    let builder = VarBuilder::from_tensors(tensors, DType::F32, &Device::Cpu);
-    let (inner, hidden) = input.dims2().map(|(i, wide)| (i, wide / 3)).unwrap();
-    let gru = GRU::new(inner, hidden, GRUConfig::default(), builder).unwrap();
-    let states = gru.seq(inputs).unwrap();
-    let (streams, rows, _) = inputs.dims3().unwrap();
-    let states = gru.states_to_tensor(&states).unwrap();
-    states.reshape((streams, rows, hidden)).unwrap()
-}
-
-#[test]
-fn gradients_equal_those_of_the_library() {
-    let size = NetworkSize { networks: 1, ..SIZE };
-    let (streams, rows) = (2, 40);
-    let mut parameters = TrainableParameters::random(size, 5, &[0]);
-    parameters.copy_network(0, &weights());
-    let inputs = noise(streams * rows * size.inputs, 1);
-    let inputs = Tensor::from_vec(inputs, (1, streams * rows, size.inputs), &Device::Cpu).unwrap();
-    let truth =
-        Tensor::from_vec(noise(streams * rows * 2, 2), (1, streams * rows, 2), &Device::Cpu);
-    let truth = truth.unwrap();
-    let weight = truth.ones_like().unwrap();
-    let gradients = |variables: &[Var], outputs: Tensor| -> Vec<Vec<f32>> {
-        let loss = losses(&outputs, &truth, &weight).unwrap().sum_all().unwrap();
-        let gradients = loss.backward().unwrap();
-        let flat = |v: &Var| gradients.get(v).unwrap().flatten_all()?.to_vec1::<f32>();
-        variables.iter().map(|v| flat(v).unwrap()).collect()
-    };
-    let own = WeightTensors::of(&parameters).unwrap();
-    let mut state = LayerStates::zero(size, streams);
-    let found = gradients(&own.all, own.forward(&inputs, streams, &mut state).unwrap());
-
-    let theirs = WeightTensors::of(&parameters).unwrap();
-    let mut flow = inputs.reshape((streams, rows, size.inputs)).unwrap();
-    for layer in index::LAYERS {
-        flow = library_layer(layer.map(|i| theirs.all[i].as_tensor()), &flow);
-    }
-    let flow = flow.reshape((1, streams * rows, size.hidden)).unwrap();
-    let head = flow.matmul(theirs.all[index::HEAD_WEIGHTS].as_tensor()).unwrap();
-    let outputs = head.broadcast_add(theirs.all[index::HEAD_BIAS].as_tensor()).unwrap();
-    let expected = gradients(&theirs.all, outputs);
-
-    for (found, (expected, parameter)) in found.iter().zip(expected.iter().zip(&parameters.all)) {
-        let max_gradient = expected.iter().fold(0.0_f32, |a, b| a.max(b.abs()));
-        assert!(max_gradient > 0.1, "{}", parameter.name);
-        for (found, expected) in found.iter().zip(expected) {
-            let error = (found - expected).abs();
-            assert!(error < 2e-5 * max_gradient, "{}: {found} {expected}", parameter.name);
+            let ((lower, less), (upper, more)) = (loss(-2e-3), loss(2e-3));
+            let expected = (more - less) / (upper - lower);
+            let error = (f64::from(*found) - expected).abs();
+            assert!(error < 2e-3 * f64::from(largest), "{name} {at}: {found} {expected}");
         }
     }
 }
 
 #[test]
-fn optimiser_steps_equal_those_of_the_library() {
-    let mut parameters = weights();
-    let before = parameters.all[0].values.clone();
-    let variable = Var::from_slice(&before, before.len(), &Device::Cpu).unwrap();
-    let settings = ParamsAdamW { weight_decay: WEIGHT_DECAY, ..ParamsAdamW::default() };
-    let mut library = AdamW::new(vec![variable.clone()], settings).unwrap();
-    let mut own = Adam::new(&parameters);
-    for step in 0..5 {
-        let rate = 0.01 / f64::from(step + 1);
-        let mut gradients: Vec<Vec<f32>> =
-            parameters.all.iter().map(|p| vec![0.0; p.values.len()]).collect();
-        gradients[0] = noise(before.len(), u64::from(step as u32));
-        let gradient = Tensor::from_slice(&gradients[0], before.len(), &Device::Cpu).unwrap();
-        let loss = (variable.as_tensor() * gradient).unwrap().sum_all().unwrap();
-        library.set_learning_rate(rate);
-        library.step(&loss.backward().unwrap()).unwrap();
-        own.step(&mut parameters, &gradients, rate);
+fn optimiser_steps_equal_those_of_pytorch() {
+    // torch.optim.AdamW of PyTorch 2.15.0 in double precision: betas 0.9 and 0.999, eps 1e-8, weight decay 0.01.
+    let gradients = [
+        [0.3, -0.7, 0.01],
+        [-0.2, 0.4, 0.02],
+        [0.9, 0.1, -0.03],
+        [0.05, -0.6, 0.04],
+        [-0.8, 0.25, 0.0],
+    ];
+    let expected = [0.485_655_04, -1.236_975_5, 1.983_318_2];
+    let mut parameters = TrainableParameters::zero(SIZE);
+    let decays = parameters.all.iter().position(|p| p.kind == TensorKind::Weights).unwrap();
+    parameters.all[decays].values[..3].copy_from_slice(&[0.5, -1.25, 2.0]);
+    let mut adam = Adam::new(&parameters);
+    for (step, gradient) in (1..).zip(gradients) {
+        let mut all = TrainableParameters::zero(SIZE);
+        all.all[decays].values[..3].copy_from_slice(&gradient);
+        adam.step(&mut parameters, &all, 0.01 / f64::from(step));
     }
-    let expected = variable.to_vec1::<f32>().unwrap();
-    for ((found, expected), before) in parameters.all[0].values.iter().zip(&expected).zip(&before) {
-        assert!((found - expected).abs() < 1e-5, "{found} {expected}");
-        assert!((expected - before).abs() > 1e-4);
+    for (found, expected) in parameters.all[decays].values.iter().zip(expected) {
+        assert!((found - expected).abs() < 1e-6, "{found} {expected}");
     }
 }
 
 #[test]
 fn gradient_is_clipped_per_network() {
-    let mut gradients = vec![vec![3.0, 0.3], vec![4.0, 0.4]];
-    clip_gradients(&mut gradients, 2);
-    assert_eq!(gradients, [[0.6, 0.3], [0.8, 0.4]]);
+    let size = NetworkSize { networks: 2, inputs: 1, hidden: 1, outputs: 4 };
+    let mut gradients = TrainableParameters::zero(size);
+    gradients.all[0].of_mut(0)[0] = 3.0;
+    gradients.all[1].of_mut(0)[0] = 4.0;
+    gradients.all[0].of_mut(1)[0] = 0.3;
+    gradients.all[1].of_mut(1)[0] = 0.4;
+    clip_gradients(&mut gradients);
+    let found = [0, 1].map(|network| [0, 1].map(|tensor| gradients.all[tensor].of(network)[0]));
+    assert_eq!(found, [[0.6, 0.8], [0.3, 0.4]]);
 }
 
 #[test]

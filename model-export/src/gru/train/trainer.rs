@@ -1,16 +1,17 @@
 //! Trainer: epochs, learning rate schedule, early stopping.
 
 use firmware::config::constants::FORCE_RANGE;
+use rayon::prelude::*;
 
 use crate::gru::network::{Network, OUTPUTS};
 use crate::gru::train::TrainError;
 use crate::gru::train::adam::{Adam, clip_gradients};
+use crate::gru::train::backprop::{NetworkWeights, StreamPass};
 use crate::gru::train::dataset::{ScaledSequence, Scaling, Sequence, Topology, zero_force_weight};
-use crate::gru::train::forward::{
-    LayerStates, Prediction, WeightTensors, losses, mean_losses, predict,
-};
 use crate::gru::train::parameters::{NetworkSize, TrainableParameters};
-use crate::gru::train::tbptt::StreamBatches;
+use crate::gru::train::predictions::{Prediction, mean_losses, predict};
+use crate::gru::train::recurrence::add_scaled;
+use crate::gru::train::tbptt::{StreamBatches, WINDOW_ROWS};
 
 /// Final learning rate relative to the initial one.
 const FINAL_RATE: f64 = 0.01;
@@ -178,9 +179,9 @@ impl Trainer {
     pub fn epoch(&mut self) -> Result<EpochResult, TrainError> {
         let networks = self.groups.len();
         let done: Vec<bool> = (0..networks).map(|network| self.stopped(network)).collect();
-        let training = self.train_epoch()?;
+        let training = self.train_epoch();
         self.epoch += 1;
-        let held_out = mean_losses(&predict(&self.parameters, &self.held_out)?);
+        let held_out = mean_losses(&predict(&self.parameters, &self.held_out));
         for network in 0..networks {
             let loss = held_out[network];
             if !loss.is_finite() || !training[network].is_finite() {
@@ -208,42 +209,48 @@ impl Trainer {
     }
 
     /// Trains one epoch; the mean loss of each network.
-    fn train_epoch(&mut self) -> Result<Vec<f64>, TrainError> {
-        let size = self.parameters.size;
+    fn train_epoch(&mut self) -> Vec<f64> {
+        let networks = self.parameters.size.networks;
         let rate = self.rate();
         let streams = StreamBatches::sample(&self.training_data, self.settings.seed, self.epoch);
-        let mut state = LayerStates::zero(size, streams.count());
-        let mut sums = vec![(0.0, 0.0); size.networks];
+        let mut passes: Vec<Vec<StreamPass>> = (0..networks)
+            .map(|_| vec![StreamPass::new(&self.parameters, WINDOW_ROWS); streams.count()])
+            .collect();
+        let mut sums = vec![(0.0, 0.0); networks];
         for window in 0..streams.windows {
-            let batch = streams.batch(&self.training_data, size.networks, window)?;
-            let weights = WeightTensors::of(&self.parameters)?;
-            let outputs = weights.forward(&batch.inputs, streams.count(), &mut state)?;
-            let losses = losses(&outputs, &batch.truth, &batch.weight)?;
-            let each = losses.to_vec1::<f32>()?;
-            for (sum, (loss, count)) in sums.iter_mut().zip(each.iter().zip(&batch.counts)) {
-                *sum = (sum.0 + f64::from(*loss), sum.1 + f64::from(*count));
-            }
-            // Mean of each network, so that the effective rate does not depend on its number of references.
-            let shares: Vec<f32> = batch.counts.iter().map(|n| 1.0 / n.max(1.0)).collect();
-            let shares = candle_core::Tensor::new(shares, losses.device())?;
-            let gradients = (losses * shares)?.sum_all()?.backward()?;
-            let mut slices = Vec::with_capacity(weights.all.len());
-            for variable in &weights.all {
-                slices.push(match gradients.get(variable) {
-                    Some(gradient) => gradient.flatten_all()?.to_vec1::<f32>()?,
-                    None => vec![0.0; variable.elem_count()],
+            passes.par_iter_mut().enumerate().for_each(|(network, passes)| {
+                let weights = NetworkWeights::of(&self.parameters, network);
+                passes.par_iter_mut().enumerate().for_each(|(stream, pass)| {
+                    let place = (stream, window);
+                    streams.window(&self.training_data, network, place, &mut pass.rows);
+                    pass.train(&weights);
                 });
+            });
+            let mut gradients = TrainableParameters::zero(self.parameters.size);
+            for (network, (passes, sum)) in passes.iter().zip(&mut sums).enumerate() {
+                let weights = passes.iter().flat_map(|pass| &pass.rows.weight);
+                let count: f32 = weights.sum();
+                let loss: f64 = passes.iter().map(|pass| pass.loss).sum();
+                *sum = (sum.0 + loss, sum.1 + f64::from(count));
+                // Mean of each network, so that the effective rate does not depend on its number of references.
+                let share = 1.0 / count.max(1.0);
+                // Summed in a fixed order, for equal bits.
+                for (tensor, gradient) in gradients.all.iter_mut().enumerate() {
+                    for pass in passes {
+                        add_scaled(gradient.of_mut(network), share, &pass.gradients[tensor]);
+                    }
+                }
             }
-            clip_gradients(&mut slices, size.networks);
-            self.adam.step(&mut self.parameters, &slices, rate);
+            clip_gradients(&mut gradients);
+            self.adam.step(&mut self.parameters, &gradients, rate);
             self.parameters.clip_to_device();
         }
-        Ok(sums.iter().map(|(sum, count)| sum / count).collect())
+        sums.iter().map(|(sum, count)| sum / count).collect()
     }
 
     /// Predictions of the best weights on the held-out recording: `[network][force]`.
-    pub fn predictions(&self) -> Result<Vec<Vec<Vec<Prediction>>>, TrainError> {
-        Ok(predict(&self.best, &self.held_out)?)
+    pub fn predictions(&self) -> Vec<Vec<Vec<Prediction>>> {
+        predict(&self.best, &self.held_out)
     }
 
     /// The best networks so far.

@@ -60,7 +60,7 @@ fn run(mut trainer: Trainer) -> Trainer {
 
 /// Root mean square error of the first force on the held-out recording, in newtons.
 fn error_n(trainer: &Trainer) -> f64 {
-    let predictions = &trainer.predictions().unwrap()[0][0];
+    let predictions = &trainer.predictions()[0][0];
     let squares = predictions.iter().map(|one| (one.mean - one.truth).powi(2));
     trainer.scaling.force_n[0] * (squares.sum::<f64>() / predictions.len() as f64).sqrt()
 }
@@ -86,7 +86,7 @@ fn network_predicts_a_lag_better_than_a_static_line() {
     let network_n = error_n(&trainer);
     assert!(line_n > 8.0, "{line_n}");
     assert!(network_n < 0.15 * line_n, "{network_n} of {line_n}");
-    let predictions = &trainer.predictions().unwrap()[0][0];
+    let predictions = &trainer.predictions()[0][0];
     let within = predictions
         .iter()
         .filter(|one| (one.mean - one.truth).abs() < 2.0 * one.log_sigma.exp())
@@ -137,7 +137,7 @@ fn shared_network_predicts_all_its_sensors() {
     assert_eq!(network.sensors, [0, 1]);
     assert_eq!(network.inputs.len(), 2);
     assert_eq!(network.head_bias.len(), 8);
-    let predictions = trainer.predictions().unwrap();
+    let predictions = trainer.predictions();
     for (i, force) in predictions[0].iter().enumerate() {
         let squares = force.iter().map(|one| (one.mean - one.truth).powi(2));
         let error = (squares.sum::<f64>() / force.len() as f64).sqrt();
