@@ -446,7 +446,7 @@ impl<'a> Evaluation<'a> {
 /// in time so that no bootstrap block contains rows of two.
 pub fn coverage(recordings: &[RecordingReplay]) -> Option<Coverage> {
     const RECORDING_OFFSET_S: f64 = 1e4;
-    let of_recording = |(place, recording): (usize, &'_ RecordingReplay)| {
+    let errors = recordings.iter().enumerate().flat_map(|(place, recording)| {
         let sensors = recording.sensors.iter().zip(&recording.predictions);
         let forces = sensors.flat_map(|(sensor, predictions)| sensor.axes.iter().zip(predictions));
         forces.flat_map(move |(replay, errors)| {
@@ -455,6 +455,6 @@ pub fn coverage(recordings: &[RecordingReplay]) -> Option<Coverage> {
             let tared = subtract_tare(errors, replay.tare.map_or(0.0, |(tare, _)| tare));
             tared.map(move |error| PredictedError { time_s: error.time_s + shift_s, ..error })
         })
-    };
-    Coverage::of(recordings.iter().enumerate().flat_map(of_recording))
+    });
+    Coverage::of(errors)
 }
