@@ -152,7 +152,7 @@ impl StreamPass {
         let hidden = weights.head.len() / outputs;
         let rows = self.outputs.chunks_exact_mut(outputs);
         for (row, state) in rows.zip(second.states().chunks_exact(hidden)) {
-            weighted_sums(row, weights.head_bias, state.iter(), weights.head);
+            weighted_sums(row, weights.head_bias, state, weights.head);
         }
     }
 
@@ -193,7 +193,7 @@ impl StreamPass {
         let zero = vec![0.0; hidden];
         let gradients = self.output_gradient.chunks_exact(outputs);
         for (by_state, gradient) in by_second.chunks_exact_mut(hidden).zip(gradients.clone()) {
-            weighted_sums(by_state, &zero, gradient.iter(), &weights.transposed_head);
+            weighted_sums(by_state, &zero, gradient, &weights.transposed_head);
         }
         let [input_1, state_1, bias_1, input_2, state_2, bias_2, head, head_bias] =
             &mut self.gradients[..]

@@ -3,6 +3,8 @@
 //! The loops run over the units of a row, so that the compiler vectorises them. No sum is formed across the lanes of a vector:
 //! results are the same bits on every processor.
 
+#![allow(unsafe_code)] // Instructions that not every processor has, loads and stores of eight numbers at once.
+
 use crate::gru::network::GATES;
 
 /// Weights of a layer.
@@ -83,8 +85,8 @@ impl LayerTape {
         for (row, ((input, saved), (outer, inner))) in rows.zip(saved).zip(sums).enumerate() {
             let (before, after) = self.states.split_at_mut((row + 1) * hidden);
             let (before, after) = (&before[row * hidden..], &mut after[..hidden]);
-            weighted_sums(outer, input_bias, input.iter(), weights.input);
-            weighted_sums(inner, state_bias, before.iter(), weights.state);
+            weighted_sums(outer, input_bias, input, weights.input);
+            weighted_sums(inner, state_bias, before, weights.state);
             let (gates, candidates) = saved.split_at_mut(2 * hidden);
             let (candidates, saved_inner) = candidates.split_at_mut(hidden);
             for (gate, (outer, inner)) in gates.iter_mut().zip(outer.iter().zip(&*inner)) {
@@ -95,8 +97,10 @@ impl LayerTape {
             saved_inner.copy_from_slice(inner);
             let sums = outer.iter().zip(reset.iter().zip(inner));
             for (candidate, (outer, (reset, inner))) in candidates.iter_mut().zip(sums) {
-                *candidate = tanh(outer + reset * inner);
+                *candidate = outer + reset * inner;
             }
+            // By itself, since the compiler does not vectorise the loop of both.
+            candidates.iter_mut().for_each(|candidate| *candidate = tanh(*candidate));
             let known = before.iter().zip(update.iter().zip(&*candidates));
             for (after, (before, (update, candidate))) in after.iter_mut().zip(known) {
                 *after = candidate + update * (before - candidate);
@@ -147,7 +151,7 @@ impl LayerTape {
             for ((by_gate, inner), weights) in
                 gates.zip(transposed_state.chunks_exact(hidden * hidden))
             {
-                weighted_sums(by_gate, &zero, inner.iter(), weights);
+                weighted_sums(by_gate, &zero, inner, weights);
                 add_scaled(&mut later, 1.0, by_gate);
             }
         }
@@ -169,47 +173,15 @@ impl LayerTape {
         let zero = vec![0.0; inputs];
         let rows = gradient.chunks_exact_mut(inputs).zip(self.input_sums.chunks_exact(width));
         for (gradient, sums) in rows {
-            weighted_sums(gradient, &zero, sums.iter(), transposed_input);
+            weighted_sums(gradient, &zero, sums, transposed_input);
         }
     }
 }
 
 /// `sums = bias + values * weights`, where the weights have a row for each value.
 #[inline(always)]
-pub fn weighted_sums<'a>(
-    sums: &mut [f32],
-    bias: &[f32],
-    values: impl Iterator<Item = &'a f32> + Clone,
-    weights: &[f32],
-) {
-    // The three gates of eight units, one vector, one number.
-    let done = blocks_of_sums::<24>(sums, 0, bias, values.clone(), weights);
-    let done = blocks_of_sums::<8>(sums, done, bias, values.clone(), weights);
-    blocks_of_sums::<1>(sums, done, bias, values, weights);
-}
-
-/// Forms sums from the place `at` on in blocks that fit the registers; the place after the last one.
-#[inline(always)]
-fn blocks_of_sums<'a, const BLOCK: usize>(
-    sums: &mut [f32],
-    mut at: usize,
-    bias: &[f32],
-    values: impl Iterator<Item = &'a f32> + Clone,
-    weights: &[f32],
-) -> usize {
-    let columns = sums.len();
-    while at + BLOCK <= columns {
-        let mut block = [0.0; BLOCK];
-        block.copy_from_slice(&bias[at..at + BLOCK]);
-        for (value, row) in values.clone().zip(weights.chunks_exact(columns)) {
-            for (sum, weight) in block.iter_mut().zip(&row[at..at + BLOCK]) {
-                *sum += value * weight;
-            }
-        }
-        sums[at..at + BLOCK].copy_from_slice(&block);
-        at += BLOCK;
-    }
-    at
+pub fn weighted_sums(sums: &mut [f32], bias: &[f32], values: &[f32], weights: &[f32]) {
+    strided_sums(sums, bias, (values, 1), weights);
 }
 
 /// Sum over all rows of the outer products of a row on the left and a row of `width` on the right.
@@ -218,7 +190,100 @@ pub fn outer_products(products: &mut [f32], left: &[f32], (right, width): (&[f32
     let height = products.len() / width;
     let zero = vec![0.0; width];
     for (at, products) in products.chunks_exact_mut(width).enumerate() {
-        weighted_sums(products, &zero, left.iter().skip(at).step_by(height), right);
+        strided_sums(products, &zero, (&left[at..], height), right);
+    }
+}
+
+/// [`weighted_sums`] of every value at a distance of `stride`.
+#[inline(always)]
+fn strided_sums(sums: &mut [f32], bias: &[f32], values: (&[f32], usize), weights: &[f32]) {
+    #[cfg(target_arch = "x86_64")]
+    if std::arch::is_x86_feature_detected!("avx2") {
+        // SAFETY: the processor has these instructions.
+        return unsafe { strided_sums_avx2(sums, bias, values, weights) };
+    }
+    sums_from(0, sums, bias, values, weights);
+}
+
+/// Sums from the place `first` on.
+#[inline(always)]
+fn sums_from(
+    first: usize,
+    sums: &mut [f32],
+    bias: &[f32],
+    (values, stride): (&[f32], usize),
+    weights: &[f32],
+) {
+    let columns = sums.len();
+    let sums = &mut sums[first..];
+    sums.copy_from_slice(&bias[first..columns]);
+    for (at, row) in weights.chunks_exact(columns).enumerate() {
+        add_scaled(sums, values[at * stride], &row[first..]);
+    }
+}
+
+/// The same sums, to the bit: products are rounded before they are added, without fused instructions.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn strided_sums_avx2(sums: &mut [f32], bias: &[f32], values: (&[f32], usize), weights: &[f32]) {
+    let (mut at, columns) = (0, sums.len());
+    // The three gates of eight units.
+    while at + 3 * LANES <= columns {
+        vector_sums::<3>(at, sums, bias, values, weights);
+        at += 3 * LANES;
+    }
+    while at + 2 * LANES <= columns {
+        vector_sums::<2>(at, sums, bias, values, weights);
+        at += 2 * LANES;
+    }
+    if at + LANES <= columns {
+        vector_sums::<1>(at, sums, bias, values, weights);
+        at += LANES;
+    }
+    if at < columns {
+        sums_from(at, sums, bias, values, weights);
+    }
+}
+
+/// Numbers in a vector.
+#[cfg(target_arch = "x86_64")]
+const LANES: usize = 8;
+
+/// Sums of as many vectors from the place `first` on, in registers.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn vector_sums<const VECTORS: usize>(
+    first: usize,
+    sums: &mut [f32],
+    bias: &[f32],
+    (values, stride): (&[f32], usize),
+    weights: &[f32],
+) {
+    use std::arch::x86_64::{
+        _mm256_add_ps, _mm256_loadu_ps, _mm256_mul_ps, _mm256_set1_ps, _mm256_setzero_ps,
+        _mm256_storeu_ps,
+    };
+    let columns = sums.len();
+    let places = first..first + VECTORS * LANES;
+    let mut vectors = [_mm256_setzero_ps(); VECTORS];
+    let bias = &bias[places.clone()];
+    for (i, vector) in vectors.iter_mut().enumerate() {
+        // SAFETY: eight numbers of a slice of as many vectors.
+        *vector = unsafe { _mm256_loadu_ps(bias[i * LANES..].as_ptr()) };
+    }
+    for (at, row) in weights.chunks_exact(columns).enumerate() {
+        let value = _mm256_set1_ps(values[at * stride]);
+        let row = &row[places.clone()];
+        for (i, vector) in vectors.iter_mut().enumerate() {
+            // SAFETY: eight numbers of a slice of as many vectors.
+            let weights = unsafe { _mm256_loadu_ps(row[i * LANES..].as_ptr()) };
+            *vector = _mm256_add_ps(*vector, _mm256_mul_ps(value, weights));
+        }
+    }
+    let sums = &mut sums[places];
+    for (i, vector) in vectors.iter().enumerate() {
+        // SAFETY: eight numbers of a slice of as many vectors.
+        unsafe { _mm256_storeu_ps(sums[i * LANES..].as_mut_ptr(), *vector) };
     }
 }
 
