@@ -176,13 +176,13 @@ impl<'a> EffectChain<'a> {
             for later in later.iter().filter(on_state) {
                 moved.apply(*later, self.excitation, self.stiffness_n_per_mm);
             }
-            return MovedSeries::States { from: self.states(), to: moved.states };
+            return MovedSeries::between(self.states(), &moved.states);
         }
         if effect.stage().acts_on_force() {
             return self.moved_force(Cow::Owned(moved.force_n), self.stiffness_n_per_mm);
         }
         let from = self.before.get(place + 1).unwrap_or(&self.last);
-        MovedSeries::States { from: &from.states, to: moved.states }
+        MovedSeries::between(&from.states, &moved.states)
     }
 
     /// The same where the flexures have another stiffness.
@@ -193,7 +193,7 @@ impl<'a> EffectChain<'a> {
         };
         if self.effects.iter().any(|(effect, _)| reads_displacement(effect)) {
             let moved = StateSeries::of(self.excitation, stiffness_n_per_mm, &self.effects);
-            return MovedSeries::States { from: self.states(), to: moved.states };
+            return MovedSeries::between(self.states(), &moved.states);
         }
         self.moved_force(Cow::Borrowed(&self.last.force_n), stiffness_n_per_mm)
     }
@@ -210,7 +210,7 @@ impl<'a> EffectChain<'a> {
     }
 }
 
-/// A series in which a parameter has moved.
+/// What a moved parameter changes in a series. A fit keeps one for each parameter at a time, of recordings of any length.
 pub enum MovedSeries<'s> {
     /// Where no effect depends on the displacement: forces in newtons and stiffnesses in N/mm, before and after.
     Forces {
@@ -219,16 +219,26 @@ pub enum MovedSeries<'s> {
         /// At the moved parameter.
         to: (Cow<'s, [[f64; 2]]>, [f64; 2]),
     },
-    /// States before and after.
-    States {
-        /// At the parameters of the chain.
-        from: &'s [PhysicalState],
-        /// At the moved parameter.
-        to: Vec<PhysicalState>,
-    },
+    /// Components of the states that change in any row ([`PhysicalState::components`]), each with its changes.
+    States(Vec<(usize, Vec<f64>)>),
 }
 
 impl MovedSeries<'_> {
+    /// Between states at the parameters of the chain and at the moved parameter.
+    fn between(from: &[PhysicalState], to: &[PhysicalState]) -> Self {
+        let rows = || from.iter().zip(to).map(|(from, to)| (from.components(), to.components()));
+        let mut changes = [false; PhysicalState::COMPONENTS];
+        for (from, to) in rows() {
+            for (changes, (from, to)) in changes.iter_mut().zip(from.iter().zip(&to)) {
+                *changes |= from != to;
+            }
+        }
+        let changing = (0..PhysicalState::COMPONENTS).filter(|component| changes[*component]);
+        let changes =
+            |component: usize| rows().map(|(from, to)| to[component] - from[component]).collect();
+        Self::States(changing.map(|component| (component, changes(component))).collect())
+    }
+
     /// First-order changes of the reading, given the responses of the rows from `first` on.
     pub fn changes<'a>(
         &'a self,
@@ -243,7 +253,11 @@ impl MovedSeries<'_> {
                     response.per_mm.column(0) * (to[0] / kx - from[0] / x)
                         + response.per_mm.column(2) * (to[1] / kz - from[1] / z)
                 }
-                Self::States { from, to } => response.change(&from[row], &to[row]),
+                Self::States(components) => {
+                    components.iter().fold(Vector3::zeros(), |change, (component, changes)| {
+                        change + response.per_component(*component) * changes[row]
+                    })
+                }
             }
         })
     }
@@ -336,8 +350,9 @@ mod tests {
         let (excitation, responses, stiffness) = (excitation(), responses(), [2.0, 5.0]);
         let all: Vec<EffectTerm> = CATALOGUE.into_iter().map(EffectTerm::Catalogue).collect();
         let compare = |found: MovedSeries, from: &StateSeries, to: &StateSeries, what: &str| {
-            let whole = MovedSeries::States { from: &from.states, to: to.states.clone() };
-            let expected: Vec<Vector3<f64>> = whole.changes(0, &responses).collect();
+            let states = from.states.iter().zip(&to.states).zip(&responses);
+            let expected: Vec<Vector3<f64>> =
+                states.map(|((from, to), response)| response.change(from, to)).collect();
             let largest = expected.iter().map(|change| change.amax()).fold(0.0, f64::max);
             // In two parts, as a fit does.
             let (first, second) = responses.split_at(ROWS / 3);

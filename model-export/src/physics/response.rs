@@ -33,25 +33,28 @@ pub struct FieldResponse {
 impl FieldResponse {
     /// First-order change of the reading between two states.
     pub fn change(&self, from: &PhysicalState, to: &PhysicalState) -> Vector3<f64> {
-        let mut change = Vector3::zeros();
-        // Most effects change one of these: the comparisons cost less than the products.
-        let mut add = |derivative: &Matrix3<f64>, from: &Vector3<f64>, to: &Vector3<f64>| {
-            if from != to {
-                change += derivative * (to - from);
-            }
-        };
-        add(&self.per_mm, &from.displacement_mm, &to.displacement_mm);
-        add(&self.per_external, &from.external_g, &to.external_g);
-        add(&self.per_rotation, &from.rotation_rad, &to.rotation_rad);
-        add(&self.per_offset, &from.offset_g, &to.offset_g);
-        if from.extra_tilt_rad != to.extra_tilt_rad {
-            for (axis, per_tilt) in self.per_tilt.iter().enumerate() {
-                change += per_tilt * (to.extra_tilt_rad[axis] - from.extra_tilt_rad[axis]);
-            }
+        let components = from.components().into_iter().zip(to.components()).enumerate();
+        // Most effects change few of them: the comparison costs less than the product.
+        let changed = components.filter(|(_, (from, to))| from != to);
+        changed.fold(Vector3::zeros(), |change, (component, (from, to))| {
+            change + self.per_component(component) * (to - from)
+        })
+    }
+
+    /// Derivative of the reading with respect to a component of the state ([`PhysicalState::components`]), in gauss per its unit.
+    pub fn per_component(&self, component: usize) -> Vector3<f64> {
+        let along = |axis: usize| Vector3::ith(axis, self.per_gain[axis]);
+        match component {
+            0..3 => self.per_mm.column(component).into(),
+            3..6 => self.per_external.column(component - 3).into(),
+            6..9 => self.per_rotation.column(component - 6).into(),
+            9..12 => self.per_offset.column(component - 9).into(),
+            12..15 => along(component - 12),
+            15 => self.per_tilt[0],
+            16 => self.per_tilt[1],
+            17 => self.per_strength,
+            _ => self.per_compression,
         }
-        change += self.per_strength * (to.strength - from.strength);
-        change += self.per_gain.component_mul(&(to.gain - from.gain));
-        change + self.per_compression * (to.compression - from.compression)
     }
 }
 
@@ -146,6 +149,21 @@ pub struct PhysicalState {
 }
 
 impl PhysicalState {
+    /// Number of components.
+    pub const COMPONENTS: usize = 19;
+
+    /// Displacement, external field, rotation, offset, gain, tilt, strength, compression.
+    pub fn components(&self) -> [f64; Self::COMPONENTS] {
+        let [dx, dy, dz] = self.displacement_mm.into();
+        let [ex, ey, ez] = self.external_g.into();
+        let [rx, ry, rz] = self.rotation_rad.into();
+        let [ox, oy, oz] = self.offset_g.into();
+        let [gx, gy, gz] = self.gain.into();
+        let [tx, tz] = self.extra_tilt_rad;
+        let (strength, compression) = (self.strength, self.compression);
+        [dx, dy, dz, ex, ey, ez, rx, ry, rz, ox, oy, oz, gx, gy, gz, tx, tz, strength, compression]
+    }
+
     /// The nominal state at this displacement in mm.
     pub fn displaced(displacement_mm: Vector3<f64>) -> Self {
         Self {
