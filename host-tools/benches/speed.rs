@@ -6,11 +6,16 @@
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 
-/// NumPy, SciPy, MagpyLib and PyTorch are what the commands are compared with; the others measure and draw.
-const PACKAGES: [&str; 6] = [
+/// NumPy, SciPy, MagpyLib and PyTorch are what the commands are compared with; a fleet needs Dask, fsspec and pandas; the others
+/// measure and draw.
+const PACKAGES: [&str; 10] = [
+    "dask==2026.8.0",
+    "distributed==2026.8.0",
+    "fsspec==2026.9.0",
     "magpylib==6.1.0",
     "matplotlib==3.11.2",
     "numpy==2.4.6",
+    "pandas==3.1.1",
     "pyarrow==26.0.1",
     "scipy==1.17.1",
     "torch==2.15.0",

@@ -9,6 +9,7 @@ import argparse
 import json
 import os
 import platform
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -228,7 +229,7 @@ class Bench:
         print(f"{command} over {over} {point:g}: {measured.wall_s:.2f} s, {measured.peak_mb:.0f} MB", flush=True)
 
     def grows(self, longest_s):
-        """Time and memory over seconds of recording, sensors and effects."""
+        """Time and memory over seconds of recording, sensors, effects, designs and grippers."""
         model = self.model()
         lengths = [length for length in (3, 10, 30, 100, 300, 1000, 3000, 10_000) if length <= longest_s]
         for total_s in lengths:
@@ -248,6 +249,25 @@ class Bench:
             self.grow("replay", "effects", count, self.run("replay", self.work / f"with-{count}.toml", self.campaign()))
         for count in (300, 1_000, 3_000, 10_000):
             self.grow("design sweep", "designs", count, self.run("design", "sweep", "--count", count, "--json"))
+
+        package = self.package()
+        for grippers in (1, 2, 4, 8):
+            campaigns = self.work / f"fleet-{grippers}"
+            campaigns.mkdir()
+            for gripper in range(grippers):
+                shutil.copytree(self.campaign(10.0), campaigns / f"gripper-{gripper}")
+            words = [sys.executable, "-m", "magpie.fleet", campaigns, "-o", self.work / f"fleet-{grippers}-results", "--workers", "1"]
+            self.grow("fleet", "grippers", grippers, measure(words, PYTHONPATH=str(package)))
+
+    def package(self):
+        """Folder of the Python package with its library."""
+        words = ["cargo", "build", "--quiet", "--release", "--locked", "--package", "magpie-python", "--message-format", "json"]
+        artifacts = [json.loads(line) for line in measure(words, folder=ROOT).output.splitlines()]
+        files = [file for artifact in artifacts if artifact.get("target", {}).get("name") == "_magpie" for file in artifact["filenames"]]
+        folder = self.work / "package"
+        shutil.copytree(ROOT / "host-tools" / "python" / "magpie", folder / "magpie")
+        shutil.copy(next(file for file in files if file.endswith((".so", ".dylib"))), folder / "magpie" / "_magpie.abi3.so")
+        return folder
 
     def commands(self, model, campaign):
         network = self.work / "grown.safetensors"
