@@ -139,7 +139,7 @@ pub struct ReplayNetworks<'a> {
 /// A floating-point network on its way.
 struct FloatNetwork<'a> {
     network: &'a Network,
-    run: FloatRun<'a>,
+    run: FloatRun,
     steps: u16,
     warm_up: u16,
 }

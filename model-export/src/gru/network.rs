@@ -12,7 +12,7 @@
 //!
 //! Rows of a layer's weights are in the order r, z, n.
 
-use wide::f32x8;
+use crate::gru::recurrence::{LayerTape, LayerWeights, transposed, weighted_sums};
 
 /// Gates of a unit: reset, update, candidate.
 pub const GATES: usize = 3;
@@ -112,72 +112,57 @@ pub struct Network {
     pub guards: Vec<TrainedRange>,
 }
 
-/// Units that are evaluated together.
-const LANES: usize = 8;
-
 /// A network in floating point with the states of both layers, in the precision of its weights.
 #[derive(Clone, Debug)]
-pub struct FloatRun<'a> {
-    network: &'a Network,
+pub struct FloatRun {
     layers: [FloatLayer; 2],
+    /// `hidden x outputs`.
+    head: Vec<f32>,
+    head_bias: Vec<f32>,
     outputs: Vec<f32>,
 }
 
-/// Weights and states of a layer, by groups of units.
+/// Weights of a layer as [`LayerWeights`] has them, and its state.
 #[derive(Clone, Debug)]
 struct FloatLayer {
-    groups: Vec<UnitGroup>,
+    input: Vec<f32>,
     state: Vec<f32>,
+    bias: Vec<f32>,
+    tape: LayerTape,
 }
 
-/// Weights of units that are evaluated together: a lane for each, for r, z and n. Lanes without a unit have no weights.
-#[derive(Clone, Debug)]
-struct UnitGroup {
-    input_bias: [f32x8; GATES],
-    state_bias: [f32x8; GATES],
-    /// For each input.
-    input_weights: Vec<[f32x8; GATES]>,
-    /// For each unit of the layer.
-    state_weights: Vec<[f32x8; GATES]>,
-}
-
-impl<'a> FloatRun<'a> {
+impl FloatRun {
     /// After a reset: all states are zero.
-    pub fn new(network: &'a Network) -> Self {
+    pub fn new(network: &Network) -> Self {
         let [first, second] = &network.layers;
         let hidden = network.hidden;
         Self {
-            network,
             layers: [
                 FloatLayer::new(first, network.inputs.len(), hidden),
                 FloatLayer::new(second, hidden, hidden),
             ],
+            head: transposed(&network.head_weights, hidden),
+            head_bias: network.head_bias.clone(),
             outputs: vec![0.0; network.head_bias.len()],
         }
     }
 
     /// Sets all states to zero.
     pub fn reset(&mut self) {
-        self.layers.iter_mut().for_each(|layer| layer.state.fill(0.0));
+        self.layers.iter_mut().for_each(|layer| layer.tape.reset());
     }
 
     /// States of one layer, in the order of the units.
     pub fn state(&self, layer: usize) -> &[f32] {
-        &self.layers[layer].state
+        self.layers[layer].tape.states()
     }
 
     /// One step over scaled inputs; the outputs.
     pub fn step(&mut self, inputs: &[f32]) -> &[f32] {
         let [first, second] = &mut self.layers;
         first.step(inputs);
-        second.step(&first.state);
-        let rows = self.network.head_weights.chunks(self.network.hidden);
-        for ((output, row), bias) in self.outputs.iter_mut().zip(rows).zip(&self.network.head_bias)
-        {
-            let products = row.iter().zip(&second.state);
-            let sum: f32 = products.map(|(weight, value)| weight * value).sum();
-            *output = bias + sum;
-        }
+        second.step(first.tape.states());
+        weighted_sums(&mut self.outputs, &self.head_bias, second.tape.states(), &self.head);
         &self.outputs
     }
 
@@ -188,75 +173,19 @@ impl<'a> FloatRun<'a> {
 
 impl FloatLayer {
     fn new(layer: &Layer, inputs: usize, units: usize) -> Self {
-        let group = |first: usize| {
-            let lanes = |values: &[f32], width: usize, column: usize| {
-                let of_gate = |gate: usize| {
-                    let value = |lane: usize| {
-                        let unit = first + lane;
-                        let row = gate * units + unit;
-                        if unit < units { values[row * width + column] } else { 0.0 }
-                    };
-                    f32x8::from(std::array::from_fn::<f32, LANES, _>(value))
-                };
-                std::array::from_fn(of_gate)
-            };
-            UnitGroup {
-                input_bias: lanes(&layer.input_bias, 1, 0),
-                state_bias: lanes(&layer.state_bias, 1, 0),
-                input_weights: (0..inputs)
-                    .map(|input| lanes(&layer.input_weights, inputs, input))
-                    .collect(),
-                state_weights: (0..units)
-                    .map(|unit| lanes(&layer.state_weights, units, unit))
-                    .collect(),
-            }
-        };
-        Self { groups: (0..units).step_by(LANES).map(group).collect(), state: vec![0.0; units] }
+        Self {
+            input: transposed(&layer.input_weights, inputs),
+            state: transposed(&layer.state_weights, units),
+            bias: [&layer.input_bias[..], &layer.state_bias[..]].concat(),
+            tape: LayerTape::new(units, 1),
+        }
     }
 
     fn step(&mut self, inputs: &[f32]) {
-        let before = self.state.clone();
-        for (group, state) in self.groups.iter().zip(self.state.chunks_mut(LANES)) {
-            let [input_r, input_z, input_n] =
-                weighted_sums(group.input_bias, &group.input_weights, inputs);
-            let [state_r, state_z, state_n] =
-                weighted_sums(group.state_bias, &group.state_weights, &before);
-            let reset = sigmoid(input_r + state_r);
-            let update = sigmoid(input_z + state_z);
-            let candidate = tanh(input_n + reset * state_n);
-            let mut own = [0.0; LANES];
-            own[..state.len()].copy_from_slice(state);
-            let next = (f32x8::ONE - update) * candidate + update * f32x8::from(own);
-            state.copy_from_slice(&next.to_array()[..state.len()]);
-        }
+        self.tape.carry_state();
+        let weights = LayerWeights { input: &self.input, state: &self.state, bias: &self.bias };
+        self.tape.predict(weights, inputs);
     }
-}
-
-fn weighted_sums(
-    bias: [f32x8; GATES],
-    weights: &[[f32x8; GATES]],
-    values: &[f32],
-) -> [f32x8; GATES] {
-    let mut sums = bias;
-    for (weights, value) in weights.iter().zip(values) {
-        let value = f32x8::splat(*value);
-        for gate in 0..GATES {
-            sums[gate] += weights[gate] * value;
-        }
-    }
-    sums
-}
-
-/// Beyond it a sigmoid is zero in this precision, and the exponential overflows.
-const MAX_EXPONENT: f32 = 80.0;
-
-fn sigmoid(at: f32x8) -> f32x8 {
-    f32x8::ONE / (f32x8::ONE + (-at).min(f32x8::splat(MAX_EXPONENT)).exp())
-}
-
-fn tanh(at: f32x8) -> f32x8 {
-    let two = f32x8::splat(2.0);
-    two * sigmoid(two * at) - f32x8::ONE
 }
 
 /// Convergence tolerance of outputs: a thousandth of the force scale.

@@ -2,10 +2,11 @@
 
 #![allow(unsafe_code)] // Instructions that not every processor has.
 
-use crate::gru::train::parameters::{TrainableParameters, index, transposed};
-use crate::gru::train::recurrence::{
-    LayerGradients, LayerTape, LayerWeights, add_scaled, exp, outer_products, weighted_sums,
+use crate::gru::recurrence::{
+    LayerGradients, LayerTape, LayerWeights, add_scaled, exp, outer_products, transposed,
+    weighted_sums,
 };
+use crate::gru::train::parameters::{TrainableParameters, index};
 
 /// Lower clamp of the logarithm of the standard deviation, relative to the force scale: below 1/2000 single
 /// rows would dominate the gradient.

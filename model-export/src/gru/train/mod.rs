@@ -2,7 +2,6 @@
 //!
 //! - [`dataset`]: recordings as training sequences, and their scaling.
 //! - [`parameters`]: trainable tensors, their initial values and the device's weight limits.
-//! - [`recurrence`]: one GRU layer, forward and backward, with its activations.
 //! - [`backprop`]: loss and gradients of one network.
 //! - [`tbptt`]: windows for truncated back-propagation through time.
 //! - [`adam`]: the optimiser.
@@ -18,7 +17,6 @@ pub mod checkpoint;
 pub mod dataset;
 pub mod parameters;
 pub mod predictions;
-pub mod recurrence;
 pub mod tbptt;
 pub mod trainer;
 

@@ -2,6 +2,7 @@
 
 use crate::gru::network::{GATES, Layer};
 use crate::gru::quantise::{INPUT_LIMIT, SUM_LIMIT};
+use crate::gru::recurrence::transposed;
 use firmware::model::formats::{INPUT_BITS, OUTPUT_BITS};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -159,11 +160,6 @@ impl TrainableParameters {
             self.all[index::HEAD_BIAS].of(network).to_vec(),
         )
     }
-}
-
-/// Transposes rows of `columns` values.
-pub fn transposed(values: &[f32], columns: usize) -> Vec<f32> {
-    (0..columns).flat_map(|column| values.iter().skip(column).step_by(columns).copied()).collect()
 }
 
 /// Maximum weight on the device (Q3).

@@ -4,13 +4,13 @@ use firmware::config::constants::FORCE_RANGE;
 use rayon::prelude::*;
 
 use crate::gru::network::{Network, OUTPUTS};
+use crate::gru::recurrence::add_scaled;
 use crate::gru::train::TrainError;
 use crate::gru::train::adam::{Adam, clip_gradients};
 use crate::gru::train::backprop::{NetworkWeights, StreamPass};
 use crate::gru::train::dataset::{ScaledSequence, Scaling, Sequence, Topology, zero_force_weight};
 use crate::gru::train::parameters::{NetworkSize, TrainableParameters};
 use crate::gru::train::predictions::{Prediction, mean_losses, predict};
-use crate::gru::train::recurrence::add_scaled;
 use crate::gru::train::tbptt::{StreamBatches, WINDOW_ROWS};
 
 /// Final learning rate relative to the initial one.

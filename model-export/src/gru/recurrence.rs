@@ -65,11 +65,32 @@ impl LayerTape {
         &self.states[self.hidden..]
     }
 
+    /// Returns to the reset state.
+    pub fn reset(&mut self) {
+        self.states.fill(0.0);
+    }
+
     /// Continues from the last state.
     #[inline(always)]
     pub fn carry_state(&mut self) {
         let last = self.states.len() - self.hidden;
         self.states.copy_within(last.., 0);
+    }
+
+    /// [`LayerTape::forward`] by itself, with the instructions of this processor.
+    pub fn predict(&mut self, weights: LayerWeights, inputs: &[f32]) {
+        #[cfg(target_arch = "x86_64")]
+        if std::arch::is_x86_feature_detected!("avx2") {
+            // SAFETY: the processor has these instructions.
+            return unsafe { self.forward_avx2(weights, inputs) };
+        }
+        self.forward(weights, inputs);
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2")]
+    fn forward_avx2(&mut self, weights: LayerWeights, inputs: &[f32]) {
+        self.forward(weights, inputs);
     }
 
     /// Forward pass over `inputs`, `rows x inputs`.
@@ -285,6 +306,11 @@ fn vector_sums<const VECTORS: usize>(
         // SAFETY: eight numbers of a slice of as many vectors.
         unsafe { _mm256_storeu_ps(sums[i * LANES..].as_mut_ptr(), *vector) };
     }
+}
+
+/// Transposes rows of `columns` values.
+pub fn transposed(values: &[f32], columns: usize) -> Vec<f32> {
+    (0..columns).flat_map(|column| values.iter().skip(column).step_by(columns).copied()).collect()
 }
 
 /// `sum += factor * row`.
