@@ -57,8 +57,8 @@ RULES = (
         "All wakers are those of embassy-executor: no other table of waker functions is in the image.",
     ),
     Allowed(
-        r"\bembassy-futures/src/join\.rs::take_output\b",
-        "`join` takes both outputs once, when both are ready, and ends.",
+        r"\bembassy-futures/src/join\.rs::(take_output|poll)\b",
+        "`join` takes both outputs once, when both are ready, and ends; `await` and `select` do not poll it again.",
     ),
     Allowed(
         r"\bfutures-util/src/future/select\.rs::",
@@ -117,9 +117,5 @@ RULES = (
     Allowed(
         r"\bembassy-stm32/src/adc/g4\.rs::configure_sequence\b",
         "The channels and their number are constants.",
-    ),
-    Allowed(
-        r"^trap: firmware/src/tasks/transmit\.rs::transmit <",
-        "A `match` jumps by a table with entries for numbers that no variant has.",
     ),
 )

@@ -136,7 +136,7 @@ class CallGraph:
                 calls[address] = Call(address, constant(state.get(register)), depth, is_tail=True)
             return following if instruction.is_conditional else []
         if name in ("tbb", "tbh"):
-            return self.table(instruction)
+            return self.table(instruction, function.start)
         if re.search(r"\{.*\bpc\b.*\}", operands) or (name == "ldr" and operands.startswith("pc, [sp]")):
             function.returns = True
             return following if instruction.is_conditional else []
@@ -148,15 +148,19 @@ class CallGraph:
             return []
         return following
 
-    def table(self, instruction):
-        """Targets of a jump by a table behind the instruction, which follow the table."""
+    def table(self, instruction, start):
+        """Targets of a jump by a table behind the instruction, which follow the table in the function. Literals may be between
+        both: the first that is no target ends the table."""
         if not instruction.operands.startswith("[pc"):
             return []
         base, width = instruction.address + 4, 1 if instruction.name == "tbb" else 2
         place, found = base, set()
+        end = next((other for other in self.elf.starts if other > start), WORD)
         while place in self.elf.data and place < min(found, default=WORD):
             target = base + 2 * self.elf.read(place, width)
             if target > place:
+                if target >= end or target not in self.elf.instructions:
+                    break
                 found.add(target)
             place += width
         return sorted(found)

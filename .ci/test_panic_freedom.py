@@ -102,10 +102,10 @@ class Walk(unittest.TestCase):
         image = self.image(
             """function reset
             tbb [pc, r0]
-            table:
-            .byte (first - table) / 2, (second - table) / 2
-            first: b .
-            second: bl panic_bounds_check
+            0: .byte (1f - 0b) / 2, (2f - 0b) / 2
+            .word 0x12345678 @ A literal.
+            1: b .
+            2: bl panic_bounds_check
             """
         )
         self.assertEqual(self.panics(image), [("panic", ["reset"])])

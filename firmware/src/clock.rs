@@ -8,7 +8,7 @@ pub trait Clock {
     /// Microseconds since boot.
     fn now_us(&self) -> u64;
 
-    /// Waits until [`Clock::now_us`] is at least `time_us`.
+    /// Waits until [`Clock::now_us`] is at least `time_us`. The future may be polled again after its end.
     fn until(&self, time_us: u64) -> impl Future<Output = ()>;
 }
 

@@ -327,8 +327,10 @@ pub const ALL: &[Constant] = &[
 
 /// Time from one tick of sensing to the next.
 pub const TICK_US: u64 = (1e6 / SENSE_RATE.value) as u64;
-/// Time-out of a sensor transfer; it takes 102 us at 1 MHz.
-pub const TRANSFER_LIMIT_US: u64 = 250;
+/// Longest time of a sensor transfer; it takes 102 us at 1 MHz.
+pub const TRANSFER_LIMIT_US: u64 = 200;
+/// Time from the beginning of a tick at which a transfer that hangs is aborted; both of a bus have ended by then.
+pub const READ_LIMIT_US: u64 = 2 * TRANSFER_LIMIT_US;
 /// Deadline of the transfers from the beginning of a tick, retries included: the rest is for a bus recovery (105 us) and
 /// the estimate.
-pub const SENSE_LIMIT_US: u64 = 3 * TRANSFER_LIMIT_US;
+pub const SENSE_LIMIT_US: u64 = 750;

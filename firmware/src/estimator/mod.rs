@@ -21,7 +21,7 @@ use crate::estimator::network_monitor::NetworkMonitor;
 use crate::estimator::parity::ParityResidual;
 use crate::fixed_point::{Field, Force};
 use crate::model::formats::Tables;
-use crate::sensors::hall::{HallFrame, HallReading, SENSORS};
+use crate::sensors::hall::{FIRST_SENSORS, HallFrame, HallReading, SENSORS};
 
 /// Estimates the forces at sensor `number` by compensation and ideal model; `state` belongs to that sensor.
 pub fn estimate(
@@ -74,7 +74,7 @@ pub fn estimate(
     }
 }
 
-/// Estimates the forces at every sensor of a frame by [`estimate`].
+/// Estimates the forces at these sensors of a frame by [`estimate`]; other estimates stay unchanged.
 ///
 /// Not inlined: the check of the image starts at this function to prove that no panic is reachable.
 #[inline(never)]
@@ -83,26 +83,37 @@ pub fn estimate_all(
     frame: &HallFrame,
     inputs: &AuxiliaryInputs,
     states: &mut [CompensationState; SENSORS],
-) -> [Estimate; SENSORS] {
+    sensors: [bool; SENSORS],
+    estimates: &mut [Estimate; SENSORS],
+) {
     // In place: a map of the array copies each estimate several times.
-    let mut estimates = [Estimate::MISSING; SENSORS];
-    let sensors = estimates.iter_mut().zip(frame.readings).zip(states).enumerate();
-    for (number, ((estimated, reading), state)) in sensors {
-        *estimated = estimate(tables, number, reading, inputs, state);
+    let places = estimates.iter_mut().zip(frame.readings).zip(states).enumerate();
+    for ((number, ((estimated, reading), state)), is_estimated) in places.zip(sensors) {
+        if is_estimated {
+            *estimated = estimate(tables, number, reading, inputs, state);
+        }
     }
-    estimates
 }
 
 /// Recurrent networks with their states.
 pub trait NetworkBank {
     /// Steps the networks and merges their predictions into the estimates of the frame.
     fn apply(&mut self, estimates: &mut [Estimate; SENSORS]);
+
+    /// Steps the networks ahead of [`Self::apply`] that depend on these sensors alone, in place of those stepped ahead before.
+    fn step_ahead(&mut self, _estimates: &[Estimate; SENSORS], _sensors: [bool; SENSORS]) {}
 }
 
 impl<N: NetworkBank> NetworkBank for Option<N> {
     fn apply(&mut self, estimates: &mut [Estimate; SENSORS]) {
         if let Some(networks) = self {
             networks.apply(estimates);
+        }
+    }
+
+    fn step_ahead(&mut self, estimates: &[Estimate; SENSORS], sensors: [bool; SENSORS]) {
+        if let Some(networks) = self {
+            networks.step_ahead(estimates, sensors);
         }
     }
 }
@@ -115,6 +126,11 @@ pub struct Estimator<'t, N> {
     networks: N,
     detector: DisturbanceDetector,
     monitor: NetworkMonitor,
+    /// Estimates of the ideal model.
+    ideal: [Estimate; SENSORS],
+    /// Time of the frame whose first readings are estimated, and of the last frame.
+    first_us: Option<u32>,
+    last_us: Option<u32>,
 }
 
 impl<'t, N: NetworkBank> Estimator<'t, N> {
@@ -126,6 +142,9 @@ impl<'t, N: NetworkBank> Estimator<'t, N> {
             networks,
             detector: DisturbanceDetector::default(),
             monitor: NetworkMonitor::new(&DetectionLimits::GRIPPER),
+            ideal: [Estimate::MISSING; SENSORS],
+            first_us: None,
+            last_us: None,
         }
     }
 
@@ -135,14 +154,36 @@ impl<'t, N: NetworkBank> Estimator<'t, N> {
         self
     }
 
+    /// Does what [`Self::update`] does with the first readings of a frame ([`FIRST_SENSORS`]), ahead of the others. The inputs
+    /// must be the same.
+    pub fn update_first(&mut self, frame: &HallFrame, inputs: &AuxiliaryInputs) {
+        // Of a late frame that is already complete.
+        if self.last_us == Some(frame.time_us) {
+            return;
+        }
+        self.first_us = Some(frame.time_us);
+        let (states, ideal) = (&mut self.states, &mut self.ideal);
+        estimate_all(self.tables, frame, inputs, states, FIRST_SENSORS, ideal);
+        self.networks.step_ahead(&self.ideal, FIRST_SENSORS);
+    }
+
     /// Estimates the forces of the next frame.
     pub fn update(&mut self, frame: &HallFrame, inputs: &AuxiliaryInputs) -> [Estimate; SENSORS] {
-        let mut estimates = estimate_all(self.tables, frame, inputs, &mut self.states);
-        let ideal = estimates;
+        self.last_us = Some(frame.time_us);
+        let sensors = if self.first_us.take() == self.last_us {
+            FIRST_SENSORS.map(|is_first| !is_first)
+        } else {
+            self.networks.step_ahead(&self.ideal, [false; SENSORS]);
+            [true; SENSORS]
+        };
+        let (states, ideal) = (&mut self.states, &mut self.ideal);
+        estimate_all(self.tables, frame, inputs, states, sensors, ideal);
+        let ideal = &self.ideal;
+        let mut estimates = *ideal;
         self.networks.apply(&mut estimates);
-        self.detector.update(&ideal, &mut estimates);
-        self.monitor.update(&ideal, &mut estimates);
-        for (estimate, ideal) in estimates.iter_mut().zip(&ideal) {
+        self.detector.update(ideal, &mut estimates);
+        self.monitor.update(ideal, &mut estimates);
+        for (estimate, ideal) in estimates.iter_mut().zip(ideal) {
             let forces = estimate.network_force.iter_mut().zip(estimate.force).zip(ideal.force);
             for ((added, force), ideal) in forces {
                 *added = Force(force.0.saturating_sub(ideal.0));
@@ -180,5 +221,50 @@ impl<'t, N: NetworkBank> Estimator<'t, N> {
     /// The detector of external magnets.
     pub fn detector(&self) -> &DisturbanceDetector {
         &self.detector
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::estimator::gru::GruBank;
+    use crate::model::tables::{NETWORKS, TABLES};
+
+    fn frame(tick: u32) -> HallFrame {
+        let readings = [0, 1, 2, 3].map(|sensor| {
+            let wave = ((tick * 7 + sensor * 31) % 97) as i16;
+            let field = [2000 + wave, wave - 300, 900 - wave];
+            (tick != 100 + sensor).then_some(HallReading { field, temperature: 8 })
+        });
+        HallFrame { time_us: 1000 * tick, readings }
+    }
+
+    #[test]
+    fn estimates_are_the_same_with_first_readings_ahead() {
+        let inputs = AuxiliaryInputs { opening_um: Some(40_000), ..AuxiliaryInputs::default() };
+        let mut whole = Estimator::new(&TABLES, GruBank::<_, _, _, SENSORS>::new(&NETWORKS));
+        let mut ahead = whole.clone();
+        let mut by_networks = 0;
+        for tick in 1..10_500 {
+            let frame = frame(tick);
+            let expected = whole.update(&frame, &inputs);
+            let [first, _, third, _] = frame.readings;
+            let first = HallFrame { readings: [first, None, third, None], ..frame };
+            // Sometimes they are not taken in time, and then too late.
+            if !tick.is_multiple_of(5) {
+                ahead.update_first(&first, &inputs);
+            }
+            assert_eq!(ahead.update(&frame, &inputs), expected, "{tick}");
+            if tick.is_multiple_of(5) {
+                ahead.update_first(&first, &inputs);
+            }
+            // A network that deviates too far is replaced.
+            let mut sensors = expected.iter().enumerate();
+            by_networks += u32::from(sensors.any(|(sensor, estimate)| {
+                estimate.network_sigma.is_some() || whole.network_diverged(sensor)
+            }));
+        }
+        // Their warm-up takes up to 10,000 steps.
+        assert!(by_networks > 1000, "{by_networks}");
     }
 }

@@ -327,6 +327,18 @@ pub struct Network<const INPUTS: usize, const HIDDEN: usize, const SENSORS: usiz
     pub check: u32,
 }
 
+impl<const INPUTS: usize, const HIDDEN: usize, const HEADS: usize> Network<INPUTS, HIDDEN, HEADS> {
+    /// Whether every input is of one of these sensors.
+    pub fn depends_only_on(&self, sensors: [bool; crate::sensors::hall::SENSORS]) -> bool {
+        self.inputs.iter().flatten().all(|input| match input.source {
+            InputSource::None => true,
+            InputSource::Field { sensor, .. } | InputSource::Ideal { sensor, .. } => {
+                sensors.get(usize::from(sensor)) == Some(&true)
+            }
+        })
+    }
+}
+
 /// Prediction of a network for one sensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Prediction {

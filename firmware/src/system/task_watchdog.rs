@@ -24,7 +24,7 @@ pub enum TaskId {
     Sense,
     /// [`crate::tasks::estimate`], 1 kHz.
     Estimate,
-    /// [`crate::tasks::grip`](fn@crate::tasks::grip), 1 kHz.
+    /// [`crate::tasks::GripLoop`], 1 kHz.
     Grip,
     /// [`crate::tasks::transmit`]; at least 10 Hz by the heartbeat.
     Transmit,

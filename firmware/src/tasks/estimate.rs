@@ -2,9 +2,12 @@
 
 use core::sync::atomic::Ordering;
 
+use embassy_futures::select::{Either, select};
 use embassy_sync::blocking_mutex::raw::RawMutex;
 
 use crate::clock::{Clock, Timed};
+use crate::compensation::auxiliary_inputs::AuxiliaryInputs;
+use crate::compensation::covariates::Covariates;
 use crate::config::constants::TICK_US;
 use crate::config::limits::DetectionLimits;
 use crate::estimator::finger_symmetry::FingerSymmetry;
@@ -39,10 +42,28 @@ pub struct ForceSample {
     pub readings: [Option<HallReading>; SENSORS],
 }
 
-/// Estimates the forces of every sensed frame. `motor` returns the state of the motor, if it is new.
+/// Inputs of the compensation in a tick.
+#[derive(Clone, Copy)]
+struct TickInputs {
+    begun_us: u64,
+    covariates: Covariates,
+    auxiliary: AuxiliaryInputs,
+}
+
+impl TickInputs {
+    fn of(samples: &CovariateSamples, begun_us: u64) -> Self {
+        let covariates = samples.at(begun_us);
+        let pole_pairs = samples.motor.map_or(0, |motor| motor.value.pole_pairs);
+        Self { begun_us, covariates, auxiliary: covariates.inputs(pole_pairs) }
+    }
+}
+
+/// Estimates the forces of every sensed frame, those of the first readings while the others are read, and calls `grip` with
+/// them. `motor` returns the state of the motor, if it is new.
 pub async fn estimate<N: NetworkBank, C: Clock, M: RawMutex>(
     estimator: &mut Estimator<'_, N>,
     mut motor: impl FnMut() -> Option<Timed<MotorStatus>>,
+    mut grip: impl FnMut(&GripInputs),
     limits: &DetectionLimits,
     clock: &C,
     shared: &SharedState<M>,
@@ -53,13 +74,33 @@ pub async fn estimate<N: NetworkBank, C: Clock, M: RawMutex>(
     let mut tick = 0_u32;
     let mut last_us = None;
     let mut samples = CovariateSamples::default();
+    let mut inputs: Option<TickInputs> = None;
     loop {
-        let sensed = shared.sensed.wait().await;
-        shared.progress.check_in(TaskId::Estimate);
+        // A late frame goes before the first readings of the next.
+        let next = select(shared.sensed.wait(), shared.first_readings.wait()).await;
         let woken_us = clock.now_us();
         samples.motor = motor().or(samples.motor);
-        samples.inertial = shared.inertial.get();
-        samples.host = shared.host_motion.get();
+        let begun_us = match &next {
+            Either::First(sensed) => sensed.begun_us,
+            Either::Second(first) => first.begun_us,
+        };
+        let TickInputs { covariates, auxiliary, .. } =
+            match inputs.filter(|inputs| inputs.begun_us == begun_us) {
+                Some(inputs) => inputs,
+                None => {
+                    samples.inertial = shared.inertial.get();
+                    samples.host = shared.host_motion.get();
+                    *inputs.insert(TickInputs::of(&samples, begun_us))
+                }
+            };
+        let sensed = match next {
+            Either::First(sensed) => sensed,
+            Either::Second(first) => {
+                estimator.update_first(&first.frame, &auxiliary);
+                continue;
+            }
+        };
+        shared.progress.check_in(TaskId::Estimate);
         let mut motor = samples.motor.map(|motor| motor.value).unwrap_or_default();
         if samples
             .motor
@@ -68,8 +109,6 @@ pub async fn estimate<N: NetworkBank, C: Clock, M: RawMutex>(
             // Its loops have stopped.
             motor.state = MotorState::Tripped(Trip::CommandTimeout);
         }
-        let covariates = samples.at(sensed.begun_us);
-        let auxiliary = covariates.inputs(motor.pole_pairs);
         let mut estimates = estimator.update(&sensed.frame, &auxiliary);
         let done_us = clock.now_us();
         let counts = &shared.counts;
@@ -89,15 +128,16 @@ pub async fn estimate<N: NetworkBank, C: Clock, M: RawMutex>(
         // After the tare: with the tables of the nominal design the untared forces of both fingers differ.
         diagnostics.update(&sensed.watched, &estimates, shared);
         diagnostics.update_networks(diverged, shared);
-        shared.grip_inputs.signal(GripInputs {
-            estimates,
+        grip(&GripInputs {
+            estimates: &estimates,
             motor,
             acceleration: auxiliary.acceleration.filter(|_| bears_mass),
         });
         if shared.ticks.try_send(Tick::of(&sensed.frame, &estimates, covariates)).is_err() {
             shared.counts.packets_unsent.fetch_add(1, Ordering::Relaxed);
         }
-        // Copying every sample to a task that sends one of ten takes 2 % of the core's time.
+        // Copying every sample to a task that sends one of ten takes 2 % of the core's time. Thread mode runs the
+        // task that is woken last first.
         let is_due = |period: u32| tick.is_multiple_of(period);
         if shared.parameter(Parameters::force_period).is_some_and(is_due) || is_due(SAMPLE_TICKS) {
             shared.force_sample.signal(ForceSample {

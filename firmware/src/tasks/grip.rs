@@ -1,4 +1,4 @@
-//! Runs [`GripController`] once for each estimate, and sends its set-point to the motor.
+//! Runs [`GripController`] once for each estimate, in the task that estimates, and sends its set-point to the motor.
 
 use core::ops::ControlFlow;
 
@@ -25,9 +25,9 @@ const STATUS_TICKS: u16 = GripStatus::LAYOUT.period_ms;
 
 /// Inputs of one tick.
 #[derive(Clone, Copy, Debug)]
-pub struct GripInputs {
+pub struct GripInputs<'e> {
     /// Forces after subtraction of the tare.
-    pub estimates: [Estimate; SENSORS],
+    pub estimates: &'e [Estimate; SENSORS],
     /// State of the motor at the time of the estimate.
     pub motor: MotorStatus,
     /// Acceleration of the fingertips ([`ControlInputs::acceleration`]).
@@ -132,20 +132,7 @@ impl Supply {
     }
 }
 
-/// Runs the grip state machine on every estimate.
-pub async fn grip<P: MotorPort, M: RawMutex>(
-    grip: &mut GripController,
-    mut motor: P,
-    shared: &SharedState<M>,
-) -> ! {
-    let mut state = GripLoop::default();
-    loop {
-        let inputs = shared.grip_inputs.wait().await;
-        state.step(grip, &inputs, &mut motor, shared);
-    }
-}
-
-/// State between two ticks.
+/// Runs the grip state machine on every estimate; this is its state between two ticks.
 #[derive(Default)]
 pub struct GripLoop {
     pending: Pending,
@@ -305,7 +292,7 @@ fn tick<M: RawMutex>(
     let hosts = shared.host_status.get();
     let is_sound = !shared.is_active(Fault::TablesUnsound);
     grip.tick(&ControlInputs {
-        estimates: &inputs.estimates,
+        estimates: inputs.estimates,
         motor: inputs.motor,
         host: hosts.host,
         command: requests.command,

@@ -22,9 +22,6 @@ use crate::system::task_watchdog::TaskId;
 use crate::tasks::calibration::CalibrationService;
 use crate::tasks::{FaultReporter, HostStatus, RxFrame, SharedState};
 
-/// Interval at which the time-out of hosts is checked.
-const CHECK_US: u64 = 1000;
-
 /// Loads the stored parameters, before any task starts.
 pub async fn load_parameters<F: NorFlash, M: RawMutex>(
     store: &mut ParameterStore<F>,
@@ -173,7 +170,8 @@ where
                 Message::ServiceReply(finish_calibration(request, &outcome, shared))
             }),
             Either4::Fourth(()) => {
-                check_us = clock.now_us().saturating_add(CHECK_US);
+                // One alarm with the tick of the sensors.
+                check_us = shared.next_tick_us(clock.now_us());
                 None
             }
         };

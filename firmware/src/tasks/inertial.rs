@@ -1,15 +1,19 @@
 //! Reads the inertial sensor each millisecond and follows the tilt of the gripper.
 
+use core::pin::pin;
+
+use embassy_futures::select::{Either, select};
 use embassy_sync::blocking_mutex::raw::RawMutex;
 
-use crate::clock::{Clock, ClockDelay, Timed, delay_us, with_timeout_us};
+use crate::clock::{Clock, ClockDelay, Timed, delay_us};
 use crate::config::constants::TICK_US;
 use crate::estimator::attitude::TiltFilter;
 use crate::sensors::imu::{IMU_AXES, Imu, ImuReading};
 use crate::system::faults::Event;
 use crate::tasks::SharedState;
 
-/// Time-out of a reading; it takes 25 us at 5 MHz.
+/// Shortest time-out of a reading, which takes 25 us at 5 MHz. It lasts until the next tick: the timer of another one would wake
+/// the task in vain.
 const READ_LIMIT_US: u64 = 500;
 /// Pause before a sensor that is absent or has failed is started again.
 const RESTART_US: u64 = 1_000_000;
@@ -54,14 +58,17 @@ async fn follow<I: Imu, C: Clock, M: RawMutex>(imu: &mut I, clock: &C, shared: &
     let mut filter = TiltFilter::default();
     let mut last: Option<Timed<ImuReading>> = None;
     let mut repeated = 0_u8;
-    let mut begin_us = clock.now_us();
+    // Both tasks share an executor: a reading during the transfers of the Hall sensors would delay them.
+    let mut begin_us = shared.next_tick_us(clock.now_us()).saturating_add(TICK_US / 2);
+    let mut next = pin!(clock.until(begin_us));
     loop {
-        clock.until(begin_us).await;
+        next.as_mut().await;
         let time_us = clock.now_us();
         // After a delay the ticks begin anew.
-        begin_us = begin_us.saturating_add(TICK_US).max(time_us);
-        let read = with_timeout_us(clock, READ_LIMIT_US, imu.read()).await;
-        let Some(Ok(reading)) = read else { return };
+        begin_us = begin_us.saturating_add(TICK_US).max(time_us.saturating_add(READ_LIMIT_US));
+        next.set(clock.until(begin_us));
+        let read = select(imu.read(), next.as_mut()).await;
+        let Either::First(Ok(reading)) = read else { return };
         let is_same = last.is_some_and(|last| last.value == reading);
         repeated = if is_same { repeated.saturating_add(1) } else { 0 };
         if repeated >= FROZEN_READINGS {

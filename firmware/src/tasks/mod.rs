@@ -5,8 +5,7 @@
 //! | --- | --- | --- | --- | --- |
 //! | [`sense`] | each millisecond | interrupt executor, above the next two | [`SENSE_LIMIT_US`](crate::config::constants::SENSE_LIMIT_US) after the tick began | the tick is skipped and counted |
 //! | [`inertial`](fn@inertial::inertial) | each millisecond | interrupt executor, above the next two | 10 ms | acceleration and tilt are missing, the estimates are flagged |
-//! | [`estimate`] | sensed frame | interrupt executor | the next tick | the older frame is lost; the number of the next tick is larger |
-//! | [`grip`](fn@grip) | estimates | interrupt executor | the next tick; from sample to set-point within 1 ms | the older forces are lost; the motor keeps its set-point until the watchdog resets |
+//! | [`estimate`] with [`GripLoop::step`] | first readings, sensed frame | interrupt executor | the next tick; from sample to set-point within 1 ms | the older frame is lost, the number of the next tick is larger; the motor keeps its set-point until the watchdog resets |
 //! | [`transmit`] | estimates, grip, events, replies | thread | 1 ms from sample to frame | the next estimate is sent |
 //! | [`transmit_serial`] | estimates | thread | 1 ms | ticks wait; beyond eight one is missing on the line, visible by its time |
 //! | [`receive_can`], [`receive_serial`] | frames, bytes | thread | three frames in the controller's memory, 141 us | the controller drops frames |
@@ -35,14 +34,15 @@ use embassy_sync::channel::Channel;
 use embassy_sync::signal::Signal;
 
 pub use estimate::{ForceSample, estimate};
-pub use grip::{GripInputs, GripLoop, GripSummary, HostStatus, PendingRequests, Supply, grip};
+pub use grip::{GripInputs, GripLoop, GripSummary, HostStatus, PendingRequests, Supply};
 pub use host_service::{HostService, host_service, load_parameters};
 pub use receive::{RxFrame, receive_can, receive_serial};
 pub use scrub::scrub;
-pub use sense::{FIRST_TICK_US, SensedFrame, sense};
+pub use sense::{FIRST_TICK_US, FirstReadings, SensedFrame, sense};
 pub use transmit::{transmit, transmit_serial};
 
 use crate::clock::Timed;
+use crate::config::constants::TICK_US;
 use crate::estimator::tare::TareProgress;
 use crate::motor::calibration::CalibrationOutcome;
 use crate::parameters::Parameters;
@@ -76,7 +76,7 @@ pub enum FaultReporter {
     Scrub,
     /// Boot, for the crash before it.
     Crash,
-    /// [`grip`](fn@grip), for grasp and motor.
+    /// [`GripLoop`], for grasp and motor.
     Grip,
 }
 
@@ -114,29 +114,31 @@ impl<M: RawMutex, T: Copy> LatestValue<M, T> {
 
 /// State shared by the tasks. Each field names its one writer and its reader.
 pub struct SharedState<M: RawMutex> {
+    /// From [`sense`]: beginning of the first tick in microseconds since boot.
+    first_tick_us: LatestValue<M, u64>,
+    /// From [`sense`] to [`estimate`], before [`Self::sensed`] in each tick.
+    pub first_readings: Signal<M, FirstReadings>,
     /// From [`sense`] to [`estimate`].
     pub sensed: Signal<M, SensedFrame>,
     /// From [`estimate`] to [`transmit`].
     pub force_sample: Signal<M, ForceSample>,
     /// From [`estimate`] to [`transmit_serial`], which may be late by a few: every tick is sent.
     pub ticks: Channel<M, Tick, QUEUED_TICKS>,
-    /// From [`estimate`] to [`grip`](fn@grip).
-    pub grip_inputs: Signal<M, GripInputs>,
-    /// From [`host_service`] to [`grip`](fn@grip): state of the session, updated before each request.
+    /// From [`host_service`] to [`GripLoop`]: state of the session, updated before each request.
     pub host_status: LatestValue<M, HostStatus>,
     /// From [`inertial`](fn@inertial::inertial) to [`estimate`]; none while the sensor is absent.
     pub inertial: LatestValue<M, Option<Timed<InertialSample>>>,
-    /// From [`temperatures`](fn@temperatures::temperatures) to [`grip`](fn@grip) and [`transmit`].
+    /// From [`temperatures`](fn@temperatures::temperatures) to [`GripLoop`] and [`transmit`].
     pub temperatures: LatestValue<M, BoardTemperatures>,
-    /// From [`grip`](fn@grip) to [`transmit`].
+    /// From [`GripLoop`] to [`transmit`].
     pub supply: LatestValue<M, Supply>,
     /// From [`host_service`] to [`estimate`] and [`inertial`](fn@inertial::inertial): motion of the gripper as a host reports it.
     pub host_motion: LatestValue<M, HostMotion>,
-    /// From [`host_service`] to [`grip`](fn@grip), which empties it in each tick.
+    /// From [`host_service`] to [`GripLoop`], which empties it in each tick.
     pub requests: LatestValue<M, PendingRequests>,
-    /// From [`grip`](fn@grip) to [`host_service`] and [`transmit`].
+    /// From [`GripLoop`] to [`host_service`] and [`transmit`].
     pub grip_summary: LatestValue<M, GripSummary>,
-    /// From [`grip`](fn@grip) to [`transmit`]: grip status, ground contact, rejected commands.
+    /// From [`GripLoop`] to [`transmit`]: grip status, ground contact, rejected commands.
     pub grip_messages: Channel<M, Message, 4>,
     /// From [`receive_can`] and [`receive_serial`] to [`host_service`].
     pub rx_frames: Channel<M, RxFrame, 8>,
@@ -146,7 +148,7 @@ pub struct SharedState<M: RawMutex> {
     pub tare_request: Signal<M, ()>,
     /// From [`estimate`] to [`host_service`]: its result.
     pub tare_result: Signal<M, TareProgress>,
-    /// From [`grip`](fn@grip) to [`host_service`]: result of a calibration.
+    /// From [`GripLoop`] to [`host_service`]: result of a calibration.
     pub calibration_result: Signal<M, CalibrationOutcome>,
     /// From [`scrub`] to [`host_service`]: tables and networks have been checked once.
     pub tables_checked: Signal<M, ()>,
@@ -176,7 +178,7 @@ pub struct Counts {
     /// Longest time from the beginning of a tick to its estimate since the last [`Timing`](crate::protocol::messages::Timing)
     /// message, in microseconds ([`estimate`]).
     pub worst_tick_us: AtomicU32,
-    /// Longest estimate since then, in microseconds ([`estimate`]).
+    /// Longest estimate of a whole frame, or of the rest of it, since then, in microseconds ([`estimate`]).
     pub worst_estimate_us: AtomicU32,
     /// 1 while commands arrive in time, else 0 ([`host_service`]).
     pub command_alive: AtomicU32,
@@ -215,10 +217,11 @@ impl<M: RawMutex> SharedState<M> {
     /// All queues empty, default parameters, no faults.
     pub const fn new() -> Self {
         Self {
+            first_tick_us: LatestValue::new(0),
+            first_readings: Signal::new(),
             sensed: Signal::new(),
             force_sample: Signal::new(),
             ticks: Channel::new(),
-            grip_inputs: Signal::new(),
             host_status: LatestValue::new(HostStatus::NONE),
             inertial: LatestValue::new(None),
             temperatures: LatestValue::new(BoardTemperatures::UNKNOWN),
@@ -304,6 +307,13 @@ impl<M: RawMutex> SharedState<M> {
         if let Some(word) = self.faults.get(reporter as usize) {
             word.store(bits, Ordering::Relaxed);
         }
+    }
+
+    /// Beginning of the first tick of [`sense`] after a time, both in microseconds since boot.
+    pub fn next_tick_us(&self, time_us: u64) -> u64 {
+        let first_us = self.first_tick_us.get();
+        let ticks = time_us.saturating_sub(first_us) / TICK_US;
+        first_us.saturating_add(ticks.saturating_add(1).saturating_mul(TICK_US))
     }
 
     /// A copy of the parameters.

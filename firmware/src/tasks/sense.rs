@@ -1,13 +1,16 @@
 //! Reads the Hall sensors each millisecond: two buses in parallel, two sensors on each.
 
-use core::pin::pin;
+use core::future::poll_fn;
+use core::pin::{Pin, pin};
 use core::sync::atomic::Ordering;
+use core::task::Poll;
 
 use embassy_futures::join::join;
+use embassy_futures::select::{Either, select};
 use embassy_sync::blocking_mutex::raw::RawMutex;
 
-use crate::clock::{Clock, with_timeout_us};
-use crate::config::constants::{SENSE_LIMIT_US, TICK_US, TRANSFER_LIMIT_US};
+use crate::clock::Clock;
+use crate::config::constants::{READ_LIMIT_US, SENSE_LIMIT_US, TICK_US, TRANSFER_LIMIT_US};
 use crate::config::limits::DetectionLimits;
 use crate::sensors::hall::config_readback::{ConfigReadback, ReadbackResult};
 use crate::sensors::hall::liveness::{LivenessMonitor, MonitoredReading};
@@ -36,11 +39,24 @@ pub struct SensedFrame {
     pub begun_us: u64,
 }
 
-/// Scans both buses, then reads the sensors at `addresses` each tick, the first two on the first bus.
+/// Readings of the sensors that are read first ([`hall::FIRST_SENSORS`]), published while the others are read.
+#[derive(Clone, Copy, Debug)]
+pub struct FirstReadings {
+    /// Usable readings.
+    pub frame: HallFrame,
+    /// When the tick began, in microseconds since boot.
+    pub begun_us: u64,
+}
+
+/// Scans both buses, then reads the sensors at `addresses` each tick, the first two on the first bus. The first readings of
+/// both buses are published at once: they are estimated while the others are read.
 ///
 /// A bus repeats at most one transfer in a tick, if the time allows. After three failures in a row it is recovered while
 /// the other bus continues. After the readings are published, the configuration of one sensor, in turn, is read back; an
 /// unexpected word also triggers a recovery of its bus.
+///
+/// Time limits cost a fifth of the task's time if each transfer has a timer: it expires after the transfer has ended and wakes
+/// the task in vain. So all transfers of a tick share one, which is also the beginning of the read-back.
 pub async fn sense<P: HallSensor, B: SensorBus, C: Clock, M: RawMutex>(
     [first, second]: [B; 2],
     addresses: [u8; SENSORS],
@@ -50,6 +66,7 @@ pub async fn sense<P: HallSensor, B: SensorBus, C: Clock, M: RawMutex>(
 ) -> ! {
     let [a, b, c, d] = addresses;
     let mut begin_us = clock.now_us().saturating_add(FIRST_TICK_US);
+    shared.first_tick_us.set(begin_us);
     let mut first = BusReader::new(first, 0, limits);
     let mut second = BusReader::new(second, 1, limits);
     join(first.scan::<P, C, M>(clock, shared), second.scan::<P, C, M>(clock, shared)).await;
@@ -57,8 +74,9 @@ pub async fn sense<P: HallSensor, B: SensorBus, C: Clock, M: RawMutex>(
     let mut read_back = ConfigReadback::new(limits);
     let mut faults = FaultSet::default();
     let mut missed = 0_u32;
+    let mut next_tick = pin!(clock.until(begin_us));
     loop {
-        clock.until(begin_us).await;
+        next_tick.as_mut().await;
         let now_us = clock.now_us();
         let late_us = now_us.saturating_sub(begin_us);
         if late_us > MAX_LATENESS_US {
@@ -68,14 +86,37 @@ pub async fn sense<P: HallSensor, B: SensorBus, C: Clock, M: RawMutex>(
             shared.counts.ticks_missed.store(missed, Ordering::Relaxed);
             let fault = (Fault::TicksMissed, 0);
             shared.update_fault(FaultReporter::Sense, &mut faults, fault, true, missed);
+            next_tick.set(clock.until(begin_us));
             continue;
         }
         shared.progress.check_in(TaskId::Sense);
-        let ([r0, r1], [r2, r3]) = join(
-            first.read::<P, C, M>([a, b], now_us, clock, shared),
-            second.read::<P, C, M>([c, d], now_us, clock, shared),
-        )
-        .await;
+        let mut read_limit = pin!(clock.until(now_us.saturating_add(READ_LIMIT_US)));
+        let mut sense_limit = pin!(clock.until(now_us.saturating_add(SENSE_LIMIT_US)));
+        let (r0, r2) = {
+            let reads = pin!(join(
+                first.read_first::<P, C, M>(a, now_us, clock, shared),
+                second.read_first::<P, C, M>(c, now_us, clock, shared),
+            ));
+            polled_at([read_limit.as_mut(), sense_limit.as_mut()], reads).await
+        };
+        let [w0, w1, w2, w3] = &mut watches;
+        let [s0, _, s2, _] = read_back.without_changed([r0, None, r2, None]);
+        let (m0, m2) = (w0.update(s0), w2.update(s2));
+        let time_us = now_us as u32;
+        let (r1, r3) = {
+            let reads = join(
+                first.read_last::<P, C, M>(b, now_us, clock, shared),
+                second.read_last::<P, C, M>(d, now_us, clock, shared),
+            );
+            // After both transfers have begun.
+            let publish = async {
+                let readings = [m0.reading, None, m2.reading, None];
+                let frame = HallFrame { time_us, readings };
+                shared.first_readings.signal(FirstReadings { frame, begun_us: now_us });
+            };
+            let reads = pin!(join(reads, publish));
+            polled_at([read_limit.as_mut(), sense_limit.as_mut()], reads).await.0
+        };
         for (stuck_ticks, bus) in [(first.stuck_ticks, 0), (second.stuck_ticks, 1)] {
             let fault = (Fault::BusStuck, bus);
             shared.update_fault(
@@ -86,19 +127,15 @@ pub async fn sense<P: HallSensor, B: SensorBus, C: Clock, M: RawMutex>(
                 0,
             );
         }
-        let mut samples = [r0, r1, r2, r3];
-        let answer = samples.map(|sample| sample.is_some());
-        read_back.discard_changed(&mut samples);
-        let mut samples = samples.into_iter();
-        let watched = watches.each_mut().map(|watch| watch.update(samples.next().flatten()));
-        shared.sensed.signal(SensedFrame {
-            frame: HallFrame {
-                time_us: now_us as u32,
-                readings: watched.map(|sensor| sensor.reading),
-            },
-            watched,
-            begun_us: now_us,
-        });
+        let answer = [r0, r1, r2, r3].map(|sample| sample.is_some());
+        let [_, s1, _, s3] = read_back.without_changed([None, r1, None, r3]);
+        let watched = [m0, w1.update(s1), m2, w3.update(s3)];
+        let readings = watched.map(|sensor| sensor.reading);
+        let frame = HallFrame { time_us, readings };
+        shared.sensed.signal(SensedFrame { frame, watched, begun_us: now_us });
+        begin_us = begin_us.saturating_add(TICK_US);
+        next_tick.set(clock.until(begin_us));
+        read_limit.await;
         let sensor = read_back.next_sensor();
         if clock.now_us() <= now_us.saturating_add(SENSE_LIMIT_US - TRANSFER_LIMIT_US) {
             let bus = if sensor < 2 { &mut first } else { &mut second };
@@ -106,7 +143,8 @@ pub async fn sense<P: HallSensor, B: SensorBus, C: Clock, M: RawMutex>(
             let is_read = match at {
                 Some(address) => {
                     let word = (P::CONFIGURATION, WORD_BYTES);
-                    bus.transfer(*address, word, clock, shared).await
+                    let transfer = pin!(bus.transfer(*address, word, begin_us, clock, shared));
+                    polled_at([next_tick.as_mut()], transfer).await
                 }
                 None => false,
             };
@@ -116,8 +154,20 @@ pub async fn sense<P: HallSensor, B: SensorBus, C: Clock, M: RawMutex>(
                 bus.clear(shared).await;
             }
         }
-        begin_us = begin_us.saturating_add(TICK_US);
     }
+}
+
+/// Output of a future that is also polled at the ends of these waits.
+async fn polled_at<W: Future, F: Future, const N: usize>(
+    waits: [Pin<&mut W>; N],
+    mut future: Pin<&mut F>,
+) -> F::Output {
+    for wait in waits {
+        if let Either::First(output) = select(future.as_mut(), wait).await {
+            return output;
+        }
+    }
+    future.await
 }
 
 /// First register and number of bytes.
@@ -137,6 +187,8 @@ struct BusReader<B> {
     failure_limit: u8,
     /// Failed transfers in a row.
     failed: u8,
+    /// No transfer has been repeated in this tick.
+    may_repeat: bool,
     /// Whether both lines were high after the last recovery.
     free: bool,
     /// Ticks in a row with a line stuck low.
@@ -153,6 +205,7 @@ impl<B: SensorBus> BusReader<B> {
             number,
             bytes: [0; TRANSFER_BYTES],
             failed: 0,
+            may_repeat: true,
             free: true,
             stuck_ticks: 0,
             recovery_pause: 0,
@@ -167,62 +220,89 @@ impl<B: SensorBus> BusReader<B> {
     ) {
         let mut answers = 0;
         for (bit, address) in P::ADDRESSES.into_iter().enumerate() {
-            let answer = self.attempt(address, reading::<P>(), clock).await;
+            let limit_us = clock.now_us().saturating_add(TRANSFER_LIMIT_US);
+            let attempt = pin!(self.attempt(address, reading::<P>(), limit_us, clock));
+            let answer = polled_at([pin!(clock.until(limit_us))], attempt).await;
             answers |= u8::from(answer) << bit;
         }
         let bus = self.number;
         shared.events.post(Event::BusScanned { bus, answers });
     }
 
-    /// Reads both sensors in the tick that began at `begun_us`.
-    async fn read<P: HallSensor, C: Clock, M: RawMutex>(
+    /// Reads the first sensor in the tick that began at `begun_us`. This and [`Self::read_last`] must be polled at
+    /// [`READ_LIMIT_US`] and [`SENSE_LIMIT_US`] after it.
+    async fn read_first<P: HallSensor, C: Clock, M: RawMutex>(
         &mut self,
-        addresses: [u8; 2],
+        address: u8,
         begun_us: u64,
         clock: &C,
         shared: &SharedState<M>,
-    ) -> [Option<HallSample>; 2] {
+    ) -> Option<HallSample> {
         self.recovery_pause = self.recovery_pause.saturating_sub(1);
+        self.may_repeat = true;
         if !self.free {
             self.clear(shared).await;
         }
-        let mut samples = [None; 2];
-        if !self.free {
-            return samples;
-        }
-        let end_us = begun_us.saturating_add(SENSE_LIMIT_US);
-        let mut may_repeat = true;
-        // Time reserved for the transfers after this one.
-        let mut reserved_us = addresses.len() as u64 * TRANSFER_LIMIT_US;
-        for (sample, address) in samples.iter_mut().zip(addresses) {
-            reserved_us = reserved_us.saturating_sub(TRANSFER_LIMIT_US);
-            let mut is_read = self.transfer(address, reading::<P>(), clock, shared).await;
-            let done_us = clock.now_us().saturating_add(TRANSFER_LIMIT_US);
-            if !is_read && may_repeat && done_us.saturating_add(reserved_us) <= end_us {
-                may_repeat = false;
-                is_read = self.transfer(address, reading::<P>(), clock, shared).await;
-            }
-            *sample = is_read.then(|| P::decode(self.bytes));
-        }
+        self.read::<P, C, M>(address, (begun_us, TRANSFER_LIMIT_US), clock, shared).await
+    }
+
+    /// Reads the last sensor in a tick.
+    async fn read_last<P: HallSensor, C: Clock, M: RawMutex>(
+        &mut self,
+        address: u8,
+        begun_us: u64,
+        clock: &C,
+        shared: &SharedState<M>,
+    ) -> Option<HallSample> {
+        let sample = self.read::<P, C, M>(address, (begun_us, 0), clock, shared).await;
         if self.failed >= self.failure_limit && self.recovery_pause == 0 {
             self.recovery_pause = RECOVERY_PAUSE;
             self.clear(shared).await;
         }
-        samples
+        sample
     }
 
-    /// Reads registers; false on an error or time-out.
+    /// Reads a sensor; `reserved_us` is for the transfers after this one.
+    async fn read<P: HallSensor, C: Clock, M: RawMutex>(
+        &mut self,
+        address: u8,
+        (begun_us, reserved_us): (u64, u64),
+        clock: &C,
+        shared: &SharedState<M>,
+    ) -> Option<HallSample> {
+        let [read_us, end_us] =
+            [READ_LIMIT_US, SENSE_LIMIT_US].map(|limit| begun_us.saturating_add(limit));
+        while self.free {
+            let done_us = clock.now_us().saturating_add(TRANSFER_LIMIT_US);
+            let limit_us = if done_us <= read_us { read_us } else { end_us };
+            if self.transfer(address, reading::<P>(), limit_us, clock, shared).await {
+                return Some(P::decode(self.bytes));
+            }
+            let done_us = clock.now_us().saturating_add(TRANSFER_LIMIT_US);
+            if !self.may_repeat || done_us.saturating_add(reserved_us) > end_us {
+                break;
+            }
+            self.may_repeat = false;
+        }
+        None
+    }
+
+    /// Reads registers; false on an error, or if polled after `limit_us`.
     async fn attempt<C: Clock>(
         &mut self,
         address: u8,
         (register, length): Registers,
+        limit_us: u64,
         clock: &C,
     ) -> bool {
         let bytes = self.bytes.get_mut(..length).unwrap_or_default();
         // Pinned in place: a move would copy its few hundred bytes again.
-        let transfer = pin!(hall::read_registers(&mut self.bus, address, register, bytes));
-        let ended = with_timeout_us(clock, TRANSFER_LIMIT_US, transfer).await;
-        matches!(ended, Some(Ok(())))
+        let mut transfer = pin!(hall::read_registers(&mut self.bus, address, register, bytes));
+        poll_fn(|context| match transfer.as_mut().poll(context) {
+            Poll::Pending if clock.now_us() < limit_us => Poll::Pending,
+            ended => Poll::Ready(matches!(ended, Poll::Ready(Ok(())))),
+        })
+        .await
     }
 
     /// As [`Self::attempt`], and counts failures.
@@ -230,10 +310,11 @@ impl<B: SensorBus> BusReader<B> {
         &mut self,
         address: u8,
         registers: Registers,
+        limit_us: u64,
         clock: &C,
         shared: &SharedState<M>,
     ) -> bool {
-        if self.attempt(address, registers, clock).await {
+        if self.attempt(address, registers, limit_us, clock).await {
             self.failed = 0;
             self.recovery_pause = 0;
             return true;

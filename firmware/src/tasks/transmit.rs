@@ -55,9 +55,10 @@ pub async fn transmit<S: CanSender, C: Clock, M: RawMutex>(
     port.send(0, Message::Version(version)).await;
     loop {
         let next = select6(
+            // First: the forces have the shortest deadline, and a frame takes longer than their estimate.
+            shared.force_sample.wait(),
             shared.replies.receive(),
             shared.grip_messages.receive(),
-            shared.force_sample.wait(),
             shared.events.next(),
             clock.until(heartbeat_us),
             shared.bus_off.wait(),
@@ -65,13 +66,13 @@ pub async fn transmit<S: CanSender, C: Clock, M: RawMutex>(
         let next = next.await;
         shared.progress.check_in(TaskId::Transmit);
         match next {
-            Either6::First(message) | Either6::Second(message) => port.send(0, message).await,
-            Either6::Third(sample) => {
+            Either6::First(sample) => {
                 let readings = sample.readings.iter().flatten();
                 let warmest = readings.map(|reading| reading.temperature).max();
                 counters.warmest = warmest.map(hall::celsius);
                 port.send_forces(&sample, &mut counters).await;
             }
+            Either6::Second(message) | Either6::Third(message) => port.send(0, message).await,
             Either6::Fourth(event) => {
                 log(event);
                 if let Event::Fault(fault) = event {
@@ -105,11 +106,7 @@ pub async fn transmit_serial<W: Write, M: RawMutex>(mut line: W, shared: &Shared
                 Some(bytes) => write_all(&mut line, bytes).await,
             }
         };
-        let encode = async {
-            let packet = next_packet(shared).await;
-            encode(&packet, next).map(<[u8]>::len)
-        };
-        let (is_sent, encoded) = join(write, encode).await;
+        let (is_sent, encoded) = join(write, encode_next(shared, next)).await;
         let lost = u32::from(!is_sent) + u32::from(encoded.is_none());
         shared.counts.packets_unsent.fetch_add(lost, Ordering::Relaxed);
         length = encoded.unwrap_or(0);
@@ -128,17 +125,19 @@ async fn write_all<W: Write>(line: &mut W, mut bytes: &[u8]) -> bool {
     true
 }
 
-/// The next tick, if telemetry is enabled, or message.
-async fn next_packet<M: RawMutex>(shared: &SharedState<M>) -> Packet {
+/// Encodes the next tick, if telemetry is enabled, or message; returns the length of the packet.
+async fn encode_next<M: RawMutex>(
+    shared: &SharedState<M>,
+    buffer: &mut [u8; MAX_PACKET_BYTES],
+) -> Option<usize> {
     loop {
         let next = select(shared.ticks.receive(), shared.serial_packets.receive()).await;
-        match next {
-            Either::First(tick) if shared.parameter(Parameters::telemetry) => {
-                return Packet::Tick(tick);
-            }
-            Either::First(_) => {}
-            Either::Second(packet) => return packet,
-        }
+        let packet = match next {
+            Either::First(tick) if shared.parameter(Parameters::telemetry) => Packet::Tick(tick),
+            Either::First(_) => continue,
+            Either::Second(packet) => packet,
+        };
+        return encode(&packet, buffer).map(<[u8]>::len);
     }
 }
 

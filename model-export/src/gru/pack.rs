@@ -283,7 +283,7 @@ impl<const INPUTS: usize, const HIDDEN: usize, const SENSOR_COUNT: usize> Networ
 
     fn apply(&mut self, estimates: &mut [Estimate; SENSORS]) {
         let (network, run) = self;
-        gru::apply(array::from_ref(*network), array::from_mut(run), estimates);
+        gru::apply(array::from_ref(*network), array::from_mut(run), &mut [None], estimates);
     }
 
     fn step(&mut self, value: &dyn Fn(InputSource) -> i32) -> Option<Vec<Prediction>> {

@@ -40,7 +40,7 @@ impl CanSender for Sender {
             if matches!(self.properties.bus_error_mode(), BusErrorMode::BusOff) {
                 return Err(CanError::BusOff);
             }
-            // The driver returns a pending frame of lower priority to make room.
+            // Waits for room; the driver returns no pending frame in the mode of a FIFO.
             next = self.half.write(&frame).await;
         }
         Ok(())

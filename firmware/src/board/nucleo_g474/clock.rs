@@ -1,5 +1,9 @@
 //! Clock of the tasks.
 
+use core::future::poll_fn;
+use core::pin::pin;
+use core::task::Poll;
+
 use embassy_time::{Instant, Timer};
 
 use crate::clock::Clock;
@@ -13,7 +17,17 @@ impl Clock for BoardClock {
         Instant::now().as_micros()
     }
 
-    async fn until(&self, time_us: u64) {
-        Timer::at(Instant::from_micros(time_us)).await;
+    /// Unlike [`Timer`], does not search all tasks for the next alarm each time the waiting task is polled: the queue ignores a
+    /// later time than the one that the task waits for.
+    fn until(&self, time_us: u64) -> impl Future<Output = ()> {
+        let mut alarm_us = time_us;
+        poll_fn(move |context| {
+            if self.now_us() >= time_us {
+                return Poll::Ready(());
+            }
+            let _ = pin!(Timer::at(Instant::from_micros(alarm_us))).poll(context);
+            alarm_us = time_us.saturating_add(1);
+            Poll::Pending
+        })
     }
 }

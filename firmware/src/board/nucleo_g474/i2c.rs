@@ -105,7 +105,9 @@ impl Controller {
     }
 
     /// Starts the read phase after the register number was sent, or wakes the task at the end of the transfer.
-    fn on_interrupt(&self) {
+    ///
+    /// One task waits for both buses, whose transfers begin together: while `other` transfers, that bus wakes it for both.
+    fn on_interrupt(&self, other: &Self) {
         let status = self.registers.isr().read();
         if has_ended(status) {
             self.registers.cr1().modify(|w| {
@@ -113,7 +115,9 @@ impl Controller {
                 w.set_stopie(false);
                 w.set_errie(false);
             });
-            self.waker.wake();
+            if !other.registers.cr1().read().stopie() {
+                self.waker.wake();
+            }
         } else if status.tc() {
             let read = Cr2(self.read.load(Ordering::Relaxed));
             self.registers.cr2().write_value(read);
@@ -131,22 +135,22 @@ static SECOND: Controller = Controller::new(pac::I2C3, Channel::Second, 20);
 
 #[embassy_stm32::interrupt]
 fn I2C1_EV() {
-    FIRST.on_interrupt();
+    FIRST.on_interrupt(&SECOND);
 }
 
 #[embassy_stm32::interrupt]
 fn I2C1_ER() {
-    FIRST.on_interrupt();
+    FIRST.on_interrupt(&SECOND);
 }
 
 #[embassy_stm32::interrupt]
 fn I2C3_EV() {
-    SECOND.on_interrupt();
+    SECOND.on_interrupt(&FIRST);
 }
 
 #[embassy_stm32::interrupt]
 fn I2C3_ER() {
-    SECOND.on_interrupt();
+    SECOND.on_interrupt(&FIRST);
 }
 
 /// I2C bus with two Hall sensors.

@@ -1,6 +1,6 @@
 //! Initialisation of clocks, pins and buses.
 
-use embassy_stm32::can::config::{FdCanConfig, GlobalFilter, NominalBitTiming};
+use embassy_stm32::can::config::{FdCanConfig, GlobalFilter, NominalBitTiming, TxBufferMode};
 use embassy_stm32::can::{self, CanConfigurator};
 use embassy_stm32::gpio::{Input, Pull};
 use embassy_stm32::interrupt::Priority;
@@ -205,6 +205,9 @@ fn can_config() -> FdCanConfig {
         // An unfiltered frame would interrupt the core, up to 8000 times a second.
         .set_global_filter(GlobalFilter::reject_all())
         .set_automatic_bus_off_recovery(false)
+        // In the other mode a frame that finds the memory full makes the driver (embassy-stm32 0.6.0) wait, without yielding,
+        // for the end of one of *higher* priority.
+        .set_tx_buffer_mode(TxBufferMode::Fifo)
         .set_nominal_bit_timing(NominalBitTiming {
             prescaler: core::num::NonZeroU16::new(4).unwrap_or(core::num::NonZeroU16::MIN),
             seg1: non_zero(15),

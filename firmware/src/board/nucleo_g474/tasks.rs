@@ -4,7 +4,7 @@
 //! | --- | --- | --- |
 //! | priority 0 and 1 | motor interrupts ([`crate::board::selected::drive`]), drivers | one PWM period |
 //! | [`SENSING_PRIORITY`] | sense, inertial, receive CAN | a bus waits for its next transfer; the controller stores three frames |
-//! | [`CONTROL_PRIORITY`] | estimate, grip | the next tick |
+//! | [`CONTROL_PRIORITY`] | control: estimate and grip | the next tick |
 //! | thread mode | all other tasks | |
 //!
 //! Each level preempts those below it. Nothing above thread mode writes to the log.
@@ -36,7 +36,7 @@ use crate::system::nv_storage::ParameterStore;
 use crate::system::nv_storage::calibration::CalibrationSlots;
 use crate::system::task_watchdog::FEED_PERIOD_MS;
 use crate::tasks::calibration::{CalibrationService, LinkedCalibration, load_calibration};
-use crate::tasks::{self, HostService, SharedState};
+use crate::tasks::{self, GripInputs, GripLoop, HostService, SharedState};
 
 defmt::timestamp!("{=u64:us}", embassy_time::Instant::now().as_micros());
 
@@ -113,9 +113,8 @@ async fn begin(spawner: Spawner, board: Peripherals<B>) {
     board.can_tx.accept_node(node);
     let (motor_port, motor_status) = board.drive.start(settings);
     interrupt::FMAC.set_priority(CONTROL_PRIORITY);
-    let control = CONTROL.start(interrupt::FMAC);
-    control.spawn(once(estimate(shared, calibration, motor_status)));
-    control.spawn(once(grip(shared, settings.screw, motor_port)));
+    let executor = CONTROL.start(interrupt::FMAC);
+    executor.spawn(once(control(shared, calibration, settings.screw, motor_port, motor_status)));
     interrupt::SAI1.set_priority(SENSING_PRIORITY);
     let sensing = SENSING.start(interrupt::SAI1);
     sensing.spawn(once(sense(shared, board.sensor_buses, parameters.addresses())));
@@ -156,20 +155,20 @@ async fn inertial(shared: Shared, imu: <B as Bsp>::Imu) {
 }
 
 #[embassy_executor::task]
-async fn estimate(
+async fn control(
     shared: Shared,
     calibration: &'static Calibration,
+    screw: Screw,
+    mut motor: <Drive as MotorDrive>::Port,
     mut motor_status: <Drive as MotorDrive>::Monitor,
 ) {
     let mut estimator = Estimator::new(&calibration.tables, calibration.bank());
-    tasks::estimate(&mut estimator, || motor_status.poll(), &LIMITS, &BoardClock, shared).await;
-}
-
-#[embassy_executor::task]
-async fn grip(shared: Shared, screw: Screw, motor: <Drive as MotorDrive>::Port) {
     let is_self_locking = shared.parameters().backdrivability() == Backdrivability::SelfLocking;
     let mut grip = GripController::new(GripLimits::GRIPPER, screw, is_self_locking);
-    tasks::grip(&mut grip, motor, shared).await;
+    let mut state = GripLoop::default();
+    let grip = |inputs: &GripInputs| state.step(&mut grip, inputs, &mut motor, shared);
+    let motor_status = || motor_status.poll();
+    tasks::estimate(&mut estimator, motor_status, grip, &LIMITS, &BoardClock, shared).await;
 }
 
 #[embassy_executor::task]

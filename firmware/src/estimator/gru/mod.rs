@@ -36,6 +36,7 @@ impl<const INPUTS: usize, const HIDDEN: usize, const HEADS: usize>
 
     /// One step; `value` reads an input in the unit of its source. Returns `None` during the warm-up. A missing
     /// input resets the network, because it breaks the time series.
+    #[inline(never)] // Called in two places, for networks of two sizes.
     pub fn step(
         &mut self,
         network: &Network<INPUTS, HIDDEN, HEADS>,
@@ -72,14 +73,22 @@ pub struct GruBank<
 > {
     networks: &'n [Network<INPUTS, HIDDEN, HEADS>],
     runs: [GruInference<INPUTS, HIDDEN, HEADS>; NETWORKS],
+    ahead: [Option<Step<HEADS>>; NETWORKS],
 }
+
+/// Result of [`GruInference::step`].
+type Step<const HEADS: usize> = Option<[Prediction; HEADS]>;
 
 impl<'n, const INPUTS: usize, const HIDDEN: usize, const HEADS: usize, const NETWORKS: usize>
     GruBank<'n, INPUTS, HIDDEN, HEADS, NETWORKS>
 {
     /// The networks after a reset; those beyond the number of states are ignored.
     pub const fn new(networks: &'n [Network<INPUTS, HIDDEN, HEADS>]) -> Self {
-        Self { networks, runs: [const { GruInference::RESET }; NETWORKS] }
+        Self {
+            networks,
+            runs: [const { GruInference::RESET }; NETWORKS],
+            ahead: [const { None }; NETWORKS],
+        }
     }
 }
 
@@ -87,7 +96,15 @@ impl<const INPUTS: usize, const HIDDEN: usize, const HEADS: usize, const NETWORK
     NetworkBank for GruBank<'_, INPUTS, HIDDEN, HEADS, NETWORKS>
 {
     fn apply(&mut self, estimates: &mut [Estimate; SENSORS]) {
-        apply(self.networks, &mut self.runs, estimates);
+        apply(self.networks, &mut self.runs, &mut self.ahead, estimates);
+    }
+
+    fn step_ahead(&mut self, estimates: &[Estimate; SENSORS], sensors: [bool; SENSORS]) {
+        for ((network, run), ahead) in self.networks.iter().zip(&mut self.runs).zip(&mut self.ahead)
+        {
+            let is_possible = network.depends_only_on(sensors);
+            *ahead = is_possible.then(|| run.step(network, |source| value(estimates, source)));
+        }
     }
 }
 
@@ -122,9 +139,16 @@ impl<const INPUTS: usize, const HIDDEN: usize, const HEADS: usize> NetworkBank
             Self::Loaded(bank) => bank.apply(estimates),
         }
     }
+
+    fn step_ahead(&mut self, estimates: &[Estimate; SENSORS], sensors: [bool; SENSORS]) {
+        match self {
+            Self::Linked(bank) => bank.step_ahead(estimates, sensors),
+            Self::Loaded(bank) => bank.step_ahead(estimates, sensors),
+        }
+    }
 }
 
-/// Steps every network on a frame's estimates and merges the predictions into them. Estimates of networks that are
+/// Steps every network on a frame's estimates, unless it was stepped ahead, and merges the predictions into them. Estimates of networks that are
 /// warming up stay unchanged, and so do those without an input of the compensation: the networks are trained on
 /// compensated fields.
 ///
@@ -133,12 +157,15 @@ impl<const INPUTS: usize, const HIDDEN: usize, const HEADS: usize> NetworkBank
 pub fn apply<const INPUTS: usize, const HIDDEN: usize, const HEADS: usize>(
     networks: &[Network<INPUTS, HIDDEN, HEADS>],
     runs: &mut [GruInference<INPUTS, HIDDEN, HEADS>],
+    ahead: &mut [Option<Step<HEADS>>],
     estimates: &mut [Estimate; SENSORS],
 ) {
     // Inputs are those of the ideal model, not of other networks.
     let ideal = *estimates;
-    for (network, run) in networks.iter().zip(runs) {
-        let Some(predictions) = run.step(network, |source| value(&ideal, source)) else {
+    for ((network, run), ahead) in networks.iter().zip(runs).zip(ahead) {
+        let step =
+            ahead.take().unwrap_or_else(|| run.step(network, |source| value(&ideal, source)));
+        let Some(predictions) = step else {
             continue;
         };
         let heads = network.sensors.iter().zip(&network.guards);

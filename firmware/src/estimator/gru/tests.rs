@@ -175,7 +175,7 @@ fn run_frames(
     let mut last = estimates();
     for _ in 0..frames {
         last = estimates();
-        apply(&constant_network(target), runs, &mut last);
+        apply(&constant_network(target), runs, &mut [None], &mut last);
     }
     last
 }
@@ -224,7 +224,7 @@ fn a_missing_input_resets_the_network() {
     run_frames(9, Target::Force, &mut runs);
     let mut missing = estimates();
     missing[1] = Estimate::MISSING;
-    apply(&constant_network(Target::Force), &mut runs, &mut missing);
+    apply(&constant_network(Target::Force), &mut runs, &mut [None], &mut missing);
     assert_eq!((missing[1], runs[0].steps), (Estimate::MISSING, 0));
     assert_eq!(run_frames(3, Target::Force, &mut runs), estimates());
 }

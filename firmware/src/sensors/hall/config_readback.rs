@@ -88,13 +88,17 @@ impl ConfigReadback {
         ReadbackResult::Unchanged
     }
 
-    /// Removes the samples of sensors with a lost configuration.
-    pub fn discard_changed(&self, samples: &mut [Option<HallSample>; SENSORS]) {
+    /// The samples without those of sensors with a lost configuration.
+    pub fn without_changed(
+        &self,
+        mut samples: [Option<HallSample>; SENSORS],
+    ) -> [Option<HallSample>; SENSORS] {
         for (sample, reference) in samples.iter_mut().zip(&self.sensors) {
             if reference.deviations >= self.max_deviations {
                 *sample = None;
             }
         }
+        samples
     }
 }
 
@@ -116,8 +120,8 @@ mod tests {
     }
 
     fn usable(readback: &ConfigReadback) -> [bool; SENSORS] {
-        let mut samples = [Some(HallSample::New(HallReading::default())); SENSORS];
-        readback.discard_changed(&mut samples);
+        let samples =
+            readback.without_changed([Some(HallSample::New(HallReading::default())); SENSORS]);
         samples.map(|sample| sample.is_some())
     }
 

@@ -20,6 +20,8 @@ pub type GripperHallSensor = als31300::Als31300;
 
 /// Number of Hall sensors of the gripper.
 pub const SENSORS: usize = crate::config::constants::SENSORS.value as usize;
+/// Sensors that are read first, one on each bus; then the others.
+pub const FIRST_SENSORS: [bool; SENSORS] = [true, false, true, false];
 /// Bytes of a measurement on the bus, equal for all parts.
 pub const TRANSFER_BYTES: usize = 8;
 /// Bytes of the configuration word ([`config_readback`]).

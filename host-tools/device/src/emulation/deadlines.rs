@@ -1,7 +1,9 @@
-//! Delay from a tick to the end of its packet on the serial line: the latency from the sample to the host.
+//! Delay from a tick to the end of its packet on the serial line, and to the end of the frames on the CAN bus with its forces:
+//! the latency from the sample to the host.
 
 use emulator::Time;
 use firmware::config::constants::TICK_US;
+use firmware::sensors::hall::SENSORS;
 
 /// Bin width.
 pub const BIN_US: u64 = 25;
@@ -20,7 +22,7 @@ pub struct Clocks {
 impl Clocks {
     /// Emulation time of a firmware timestamp less than one period before the
     /// reading.
-    fn time(&self, firmware_us: u32) -> Time {
+    pub fn time(&self, firmware_us: u32) -> Time {
         let (now_us, period_us) = self.firmware_us;
         let age_us = (now_us + period_us - u64::from(firmware_us) % period_us) % period_us;
         self.now - Time::from_us(age_us)
@@ -93,9 +95,66 @@ impl Deadlines {
     }
 }
 
+/// Delays from a tick to the end of the CAN frame with the forces at each sensor.
+#[derive(Clone, Debug, Default)]
+pub struct FrameDelays {
+    /// Frames of all sensors.
+    pub frames: u64,
+    /// Maximum delay at each sensor.
+    pub longest: [Time; SENSORS],
+    /// Sensor and end of frames that may belong to a tick whose packet has not arrived yet.
+    waiting: Vec<(usize, Time)>,
+    /// Beginning of the latest tick, and of the one whose forces are being sent.
+    begun: Option<Time>,
+    sampled: Option<Time>,
+}
+
+impl FrameDelays {
+    /// Adds a frame with the forces at a sensor.
+    pub fn push_frame(&mut self, sensor: u8, ended: Time) {
+        self.waiting.push((sensor.into(), ended));
+    }
+
+    /// Adds a tick. The frame of the first sensor belongs to the last tick before its end, those of the others to the same.
+    pub fn push_tick(&mut self, begun: Time) {
+        let previous = self.begun.replace(begun);
+        let is_before = |(_, ended): &(usize, Time)| *ended <= begun;
+        let count = self.waiting.iter().take_while(|frame| is_before(frame)).count();
+        for (sensor, ended) in self.waiting.drain(..count) {
+            if sensor == 0 {
+                self.sampled = previous;
+            }
+            if let (Some(sampled), Some(longest)) = (self.sampled, self.longest.get_mut(sensor)) {
+                *longest = (*longest).max(ended - sampled);
+                self.frames += 1;
+            }
+        }
+    }
+
+    /// The firmware restarts.
+    pub fn restart(&mut self) {
+        (self.begun, self.sampled) = (None, None);
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn frames_belong_to_the_last_tick_before_the_first_of_them() {
+        let mut delays = FrameDelays::default();
+        let us = Time::from_us;
+        delays.push_frame(0, us(900));
+        delays.push_tick(us(1000));
+        for (sensor, ended_us) in [(0, 1700), (1, 1835), (2, 1970), (3, 2105), (0, 3690)] {
+            delays.push_frame(sensor, us(ended_us));
+        }
+        for begun_us in [2000, 3000, 4000] {
+            delays.push_tick(us(begun_us));
+        }
+        assert_eq!((delays.frames, delays.longest), (5, [us(700), us(835), us(970), us(1105)]));
+    }
 
     #[test]
     fn delays_use_the_emulation_clock() {

@@ -27,7 +27,7 @@ use crate::pty::Pty;
 use crate::socket_can::Bridge;
 use crate::socketcand::server::Server;
 use crate::source::packet;
-use deadlines::{Clocks, Deadlines};
+use deadlines::{Clocks, Deadlines, FrameDelays};
 use sim::board::SimulatedBoard;
 use sim::closed_loop::coupling::SharedGripper;
 use sim::closed_loop::emulated_board::EmulatedBoard;
@@ -82,6 +82,10 @@ pub struct Emulation {
     pub board: EmulatedBoard,
     /// Latency of the ticks.
     pub deadlines: Deadlines,
+    /// Latency of the frames with forces.
+    pub force_frames: FrameDelays,
+    /// Longest time from the beginning of a tick to its estimate in microseconds, as the firmware reports it.
+    pub worst_tick_us: u16,
     /// Frames from the ports dropped because the queue was full.
     pub dropped_frames: u64,
     /// Fault events with their time in microseconds.
@@ -109,6 +113,8 @@ impl Emulation {
         Self {
             board,
             deadlines: Deadlines::default(),
+            force_frames: FrameDelays::default(),
+            worst_tick_us: 0,
             dropped_frames: 0,
             faults: Vec::new(),
             gripper,
@@ -165,6 +171,7 @@ impl Emulation {
         self.resets += resets.len();
         if !resets.is_empty() {
             self.deadlines.restart();
+            self.force_frames.restart();
         }
         resets.into_iter().map(Notice::Reset)
     }
@@ -176,6 +183,7 @@ impl Emulation {
         for (ended, packet) in sent.packets(&mut self.receiver) {
             if let Packet::Tick(tick) = packet {
                 self.deadlines.push(tick.time_us, ended, clocks);
+                self.force_frames.push_tick(clocks.time(tick.time_us));
             }
         }
         self.pty.send_latest(&sent.bytes)?;
@@ -193,6 +201,12 @@ impl Emulation {
             match message {
                 Some(Packet::Message { message: Message::Heartbeat(beat), .. }) => {
                     notices.extend(self.place(beat.state));
+                }
+                Some(Packet::Message { message: Message::Timing(timing), .. }) => {
+                    self.worst_tick_us = self.worst_tick_us.max(timing.worst_loop);
+                }
+                Some(Packet::Message { copy, message: Message::Force(_) }) => {
+                    self.force_frames.push_frame(copy, Time::from_us(*time_us));
                 }
                 Some(Packet::Message { message: Message::FaultEvent(event), .. }) => {
                     self.faults.push((*time_us, event));

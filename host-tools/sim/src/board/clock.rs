@@ -68,9 +68,9 @@ impl Clock for VirtualClock {
         self.0.now_us.get()
     }
 
-    async fn until(&self, time_us: u64) {
+    fn until(&self, time_us: u64) -> impl Future<Output = ()> {
         let mut waiting = false;
-        poll_fn(|context| {
+        poll_fn(move |context| {
             if self.0.now_us.get() >= time_us {
                 return Poll::Ready(());
             }
@@ -82,7 +82,6 @@ impl Clock for VirtualClock {
             }
             Poll::Pending
         })
-        .await;
     }
 }
 

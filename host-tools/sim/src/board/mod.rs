@@ -58,7 +58,7 @@ use firmware::tasks::calibration::{
     CalibrationDefect, CalibrationOrigin, CalibrationService, LinkedCalibration, Memories,
 };
 use firmware::tasks::temperatures::BoardTemperatures;
-use firmware::tasks::{self, GripLoop, HostService, SharedState};
+use firmware::tasks::{self, GripInputs, GripLoop, HostService, SharedState};
 use futures::executor::{LocalPool, block_on};
 use futures::task::LocalSpawnExt;
 use model_export::gru::pack::{self, NetworkRun, PackedNetwork};
@@ -369,8 +369,18 @@ impl VirtualTimeBoard {
         });
         let (clock, exchange) = parts();
         let motor = self.motor.clone();
+        let grip = self.grip.clone();
+        let mut orders = MotorCommands {
+            motor: self.motor.clone(),
+            clock: clock.clone(),
+            crashed: self.crashed.clone(),
+        };
         self.spawn(async move {
             let motor = || Some(motor.borrow_mut().status(clock.now_us()));
+            let mut state = GripLoop::default();
+            let grip = |inputs: &GripInputs| {
+                state.step(&mut grip.borrow_mut(), inputs, &mut orders, &exchange);
+            };
             match running {
                 RunningCalibration::Linked => {
                     let compensations: Vec<_> =
@@ -382,7 +392,7 @@ impl VirtualTimeBoard {
                     let mut estimator = Estimator::new(&tables, networks);
                     let scrub = tasks::scrub(&tables, [None; SENSORS], &clock, &exchange);
                     let estimate =
-                        tasks::estimate(&mut estimator, motor, &limits, &clock, &exchange);
+                        tasks::estimate(&mut estimator, motor, grip, &limits, &clock, &exchange);
                     join(scrub, estimate).await;
                 }
                 RunningCalibration::Stored(stored) => {
@@ -390,21 +400,9 @@ impl VirtualTimeBoard {
                     let networks = stored.networks.scrubbed();
                     let scrub = tasks::scrub(&stored.tables, networks, &clock, &exchange);
                     let estimate =
-                        tasks::estimate(&mut estimator, motor, &limits, &clock, &exchange);
+                        tasks::estimate(&mut estimator, motor, grip, &limits, &clock, &exchange);
                     join(scrub, estimate).await;
                 }
-            }
-        });
-        let (clock, exchange) = parts();
-        let grip = self.grip.clone();
-        let mut orders =
-            MotorCommands { motor: self.motor.clone(), clock, crashed: self.crashed.clone() };
-        self.spawn(async move {
-            // As `tasks::grip`, with access to the grasp for tests.
-            let mut turns = GripLoop::default();
-            loop {
-                let inputs = exchange.grip_inputs.wait().await;
-                turns.step(&mut grip.borrow_mut(), &inputs, &mut orders, &exchange);
             }
         });
         let (clock, exchange) = parts();

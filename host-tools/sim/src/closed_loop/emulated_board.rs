@@ -175,7 +175,7 @@ impl EmulatedBoard {
 
     /// Address of the shadow copies of [`firmware::grip::redundant_copy`]: complements of adjacent single-precision numbers.
     fn copies_of_grasp(&self) -> Option<u32> {
-        let pool = self.chip.image().symbols_named("tasks::grip::POOL").next()?;
+        let pool = self.chip.image().symbols_named("tasks::control::POOL").next()?;
         let memory = self.chip.soc.memory(pool.address, pool.length as usize)?;
         let words: Vec<u32> = memory
             .chunks_exact(4)

@@ -26,8 +26,8 @@ Examples:
   cargo magpie emulate --replay tests/data/clean/1 --model model.toml --speed 0.2
 
 At the end, and after Ctrl-C, it prints a profile (load of each priority level and interrupt, longest blocking and \
-latency, stack, hottest functions), the latency from tick to packet on the serial line, rule violations, resets and \
-faults. Without --can, the CAN bus is a local TCP port with the socketcand protocol (ASCII, raw mode), which \
+latency, stack, hottest functions), the latency from tick to packet on the serial line and to the CAN frames with forces, \
+rule violations, resets and faults. Without --can, the CAN bus is a local TCP port with the socketcand protocol (ASCII, raw mode), which \
 python-can and other tools support. Times are virtual (chip time). The simulated fingertips have the \
 nominal design: build the image with tables of `cargo magpie export MODEL --nominal`. The peripherals are modelled from manuals and not \
 validated on a chip.")]

@@ -65,6 +65,7 @@ pub fn format_report(args: &Args, emulation: &mut Emulation, pace: &Pace, end: &
     page += &format!("\nExecution\n{profile}");
     page += &load_by_priority(&profile);
     page += &latency_histogram(&emulation.deadlines);
+    page += &frame_latency(emulation);
     page += &problems(emulation);
     page
 }
@@ -107,6 +108,18 @@ fn latency_histogram(deadlines: &Deadlines) -> String {
         quantile(0.5),
         quantile(0.999),
         us(deadlines.longest)
+    )
+}
+
+fn frame_latency(emulation: &Emulation) -> String {
+    let delays = &emulation.force_frames;
+    let longest = delays.longest.map(|delay| format!("{:.0}", us(delay)));
+    format!(
+        "\nLatency from tick to estimate: max {} us\n\
+         Latency from tick to end of CAN frame with the forces at sensors 0 to 3: max {} us ({} frames)\n",
+        emulation.worst_tick_us,
+        longest.join(", "),
+        delays.frames
     )
 }
 
@@ -218,6 +231,11 @@ pub fn to_json(
         "error": error,
         "profile": profile,
         "deadlines": deadlines_json(&emulation.deadlines),
+        "worst_tick_us": emulation.worst_tick_us,
+        "force_frames": {
+            "frames": emulation.force_frames.frames,
+            "longest_us": emulation.force_frames.longest.map(us),
+        },
         "violations": violations.collect::<Vec<_>>(),
         "resets": resets.collect::<Vec<_>>(),
         "faults": faults.collect::<Vec<_>>(),
