@@ -30,7 +30,11 @@ fn estimate(tables: &Tables, number: usize, reading: Option<HallReading>) -> Est
 
 fn estimate_all(tables: &Tables, frame: &HallFrame) -> [Estimate; SENSORS] {
     let mut states = [CompensationState::default(); SENSORS];
-    firmware::estimator::estimate_all(tables, frame, &AuxiliaryInputs::default(), &mut states)
+    let mut estimates = [Estimate::MISSING; SENSORS];
+    let inputs = AuxiliaryInputs::default();
+    let all = [true; SENSORS];
+    firmware::estimator::estimate_all(tables, frame, &inputs, &mut states, all, &mut estimates);
+    estimates
 }
 
 const GAUSS_PER_LSB: f64 = 0.125;
