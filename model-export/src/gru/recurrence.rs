@@ -41,7 +41,7 @@ pub struct LayerTape {
     states: Vec<f32>,
     /// `rows x SAVED*hidden`.
     saved: Vec<f32>,
-    /// Gradients by the weighted sums of the inputs, `rows x GATES*hidden`.
+    /// Weighted sums of the inputs, `rows x GATES*hidden`; after the backward pass the gradients by them.
     input_sums: Vec<f32>,
     /// The same of the states.
     state_sums: Vec<f32>,
@@ -362,6 +362,27 @@ pub fn tanh(x: f32) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn vectors_give_the_bits_of_single_numbers() {
+        let noise = |count: usize, phase: f32| -> Vec<f32> {
+            (0..count).map(|i| (1.7 * i as f32 + phase).sin() / 3.0).collect()
+        };
+        for (columns, stride) in
+            [1, 3, 8, 11, 16, 24, 41, 48, 50].into_iter().zip([1, 2, 3].repeat(3))
+        {
+            let (values, weights) = (noise(20 * stride, 0.1), noise(20 * columns, 0.2));
+            let bias = noise(columns, 0.3);
+            let (mut found, mut expected) = (vec![0.0; columns], vec![0.0; columns]);
+            strided_sums(&mut found, &bias, (&values, stride), &weights);
+            sums_from(0, &mut expected, &bias, (&values, stride), &weights);
+            assert_eq!(found, expected, "{columns}");
+            let last: f32 = (0..20).fold(bias[columns - 1], |sum, row| {
+                sum + values[row * stride] * weights[(row + 1) * columns - 1]
+            });
+            assert_eq!(found.last(), Some(&last));
+        }
+    }
 
     #[test]
     fn activations_are_exact_to_a_few_1e_7() {
