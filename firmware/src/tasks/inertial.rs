@@ -12,8 +12,8 @@ use crate::sensors::imu::{IMU_AXES, Imu, ImuReading};
 use crate::system::faults::Event;
 use crate::tasks::SharedState;
 
-/// Shortest time-out of a reading, which takes 25 us at 5 MHz. It lasts until the next tick: the timer of another one would wake
-/// the task in vain.
+/// Shortest time-out of a reading, which takes 25 us at 5 MHz. It lasts until the next tick: a timer of its own would wake the task
+/// after the reading has ended.
 const READ_LIMIT_US: u64 = 500;
 /// Pause before a sensor that is absent or has failed is started again.
 const RESTART_US: u64 = 1_000_000;

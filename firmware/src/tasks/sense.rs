@@ -55,8 +55,8 @@ pub struct FirstReadings {
 /// the other bus continues. After the readings are published, the configuration of one sensor, in turn, is read back; an
 /// unexpected word also triggers a recovery of its bus.
 ///
-/// Time limits cost a fifth of the task's time if each transfer has a timer: it expires after the transfer has ended and wakes
-/// the task in vain. So all transfers of a tick share one, which is also the beginning of the read-back.
+/// A timer for each transfer would wake the task after the transfer has ended. So all transfers of a tick share one, which is also
+/// the beginning of the read-back.
 pub async fn sense<P: HallSensor, B: SensorBus, C: Clock, M: RawMutex>(
     [first, second]: [B; 2],
     addresses: [u8; SENSORS],
@@ -187,7 +187,7 @@ struct BusReader<B> {
     failure_limit: u8,
     /// Failed transfers in a row.
     failed: u8,
-    /// No transfer has been repeated in this tick.
+    /// Whether a failed transfer may be repeated in this tick: no other has been.
     may_repeat: bool,
     /// Whether both lines were high after the last recovery.
     free: bool,

@@ -148,9 +148,9 @@ impl<const INPUTS: usize, const HIDDEN: usize, const HEADS: usize> NetworkBank
     }
 }
 
-/// Steps every network on a frame's estimates, unless it was stepped ahead, and merges the predictions into them. Estimates of networks that are
-/// warming up stay unchanged, and so do those without an input of the compensation: the networks are trained on
-/// compensated fields.
+/// Steps every network on a frame's estimates, unless it was stepped ahead, and merges the predictions into them. Estimates of
+/// networks that are warming up stay unchanged, and so do those without an input of the compensation: the networks are
+/// trained on compensated fields.
 ///
 /// Not inlined: the check of the image finds the networks by this function.
 #[inline(never)]
