@@ -72,8 +72,9 @@ pub struct StreamPass {
     /// Gradients of that loss by the parameters, in the order of [`index`].
     pub gradients: Vec<Vec<f32>>,
     tapes: [LayerTape; 2],
-    /// By the outputs, and by the states of the second and of the first layer.
+    /// Gradient of the loss by the outputs.
     output_gradient: Vec<f32>,
+    /// The same by the states of the first and of the second layer.
     state_gradients: [Vec<f32>; 2],
 }
 
