@@ -13,7 +13,7 @@ use firmware::fixed_point::{Field, Force};
 use firmware::model::calibration::LoadableNetwork;
 use firmware::model::formats::{
     FORCE_BITS, GATES, Guard, Head, Input, InputSource, Network as DeviceNetwork, OUTPUTS, Pair,
-    Prediction, Target as DeviceTarget, UnitPair, Weights,
+    Prediction, Products, Target as DeviceTarget, UnitPair, Weights,
 };
 use firmware::sensors::hall::SENSORS;
 
@@ -179,53 +179,84 @@ fn with_inputs<const INPUTS: usize, const HIDDEN: usize>(
     }
 }
 
+// Each function below has only the sizes that it needs: 96 copies of everything would take a seventh of the time in which
+// this crate compiles.
 fn device_network<const INPUTS: usize, const HIDDEN: usize, const SENSOR_COUNT: usize>(
     rows: &QuantisedNetwork,
     meta: &Metadata,
 ) -> DeviceNetwork<INPUTS, HIDDEN, SENSOR_COUNT> {
-    let unused = Input { source: InputSource::None, offset: 0, gain: 0 };
-    let input = |number: usize| rows.inputs.get(number).copied().unwrap_or(unused);
     let [first, second] = &rows.layers;
     DeviceNetwork {
-        sensors: array::from_fn(|sensor| meta.numbers.get(sensor).copied().unwrap_or(u8::MAX)),
+        sensors: padded(&meta.numbers, u8::MAX),
         target: match meta.target {
             Target::Force => DeviceTarget::Force,
             Target::Residual => DeviceTarget::Rest,
         },
-        inputs: array::from_fn(|pair| [input(2 * pair), input(2 * pair + 1)]),
+        inputs: inputs(rows),
         force: rows.force,
         warm_up: meta.warm_up,
-        guards: array::from_fn(|sensor| meta.guards.get(sensor).copied().unwrap_or(Guard::NONE)),
-        weights: Weights {
-            first: array::from_fn(|pair| unit_pair(first, pair)),
-            second: array::from_fn(|pair| unit_pair(second, pair)),
-            heads: array::from_fn(|sensor| head(rows, sensor)),
-        },
+        guards: padded(&meta.guards, Guard::NONE),
+        weights: Weights { first: layer(first), second: layer(second), heads: heads(rows) },
         check: 0,
     }
     .checked()
+}
+
+fn padded<T: Copy, const N: usize>(values: &[T], padding: T) -> [T; N] {
+    array::from_fn(|index| values.get(index).copied().unwrap_or(padding))
+}
+
+fn inputs<const INPUTS: usize>(rows: &QuantisedNetwork) -> [[Input; 2]; INPUTS] {
+    let unused = Input { source: InputSource::None, offset: 0, gain: 0 };
+    let input = |number: usize| rows.inputs.get(number).copied().unwrap_or(unused);
+    array::from_fn(|pair| [input(2 * pair), input(2 * pair + 1)])
+}
+
+fn layer<const INPUTS: usize, const HIDDEN: usize>(
+    rows: &LayerRows,
+) -> [UnitPair<INPUTS, HIDDEN>; HIDDEN] {
+    array::from_fn(|pair| unit_pair(rows, pair))
 }
 
 fn unit_pair<const INPUTS: usize, const HIDDEN: usize>(
     layer: &LayerRows,
     pair: usize,
 ) -> UnitPair<INPUTS, HIDDEN> {
+    const NONE: Products = [[[0; 2]; GATES]; 2];
     let units = [2 * pair, 2 * pair + 1];
-    // Row of a gate; `None` for surplus units.
-    let row = |gate: usize, unit: usize| (unit < layer.units).then_some(gate * layer.units + unit);
-    let products = |weights: &[i16], columns: usize, column: usize| {
-        units.map(|unit| {
-            [0, 1, 2]
-                .map(|gate| [0, 1].map(|k| weight(weights, row(gate, unit), columns, column + k)))
-        })
-    };
-    UnitPair {
+    let mut packed = UnitPair {
         bias: units.map(|unit| {
-            array::from_fn::<_, GATES, _>(|gate| row(gate, unit).map_or(0, |row| layer.bias[row]))
+            [0, 1, 2].map(|gate| row(layer, gate, unit).map_or(0, |row| layer.bias[row]))
         }),
-        input: array::from_fn(|k| products(&layer.input_weights, layer.inputs, 2 * k)),
+        input: [NONE; INPUTS],
         state_bias: units.map(|unit| layer.candidate_bias.get(unit).copied().unwrap_or(0)),
-        state: array::from_fn(|k| products(&layer.state_weights, layer.units, 2 * k)),
+        state: [NONE; HIDDEN],
+    };
+    // Not generic: compiled once for all sizes.
+    set_products(&mut packed.input, layer, units, &layer.input_weights, layer.inputs);
+    set_products(&mut packed.state, layer, units, &layer.state_weights, layer.units);
+    packed
+}
+
+/// Row of a gate; `None` for surplus units.
+fn row(layer: &LayerRows, gate: usize, unit: usize) -> Option<usize> {
+    (unit < layer.units).then_some(gate * layer.units + unit)
+}
+
+fn set_products(
+    products: &mut [Products],
+    layer: &LayerRows,
+    units: [usize; 2],
+    weights: &[i16],
+    columns: usize,
+) {
+    for (k, products) in products.iter_mut().enumerate() {
+        for (products, unit) in products.iter_mut().zip(units) {
+            for (gate, products) in products.iter_mut().enumerate() {
+                let row = row(layer, gate, unit);
+                *products = [2 * k, 2 * k + 1].map(|column| weight(weights, row, columns, column));
+            }
+        }
     }
 }
 
@@ -235,6 +266,12 @@ fn weight(weights: &[i16], row: Option<usize>, columns: usize, column: usize) ->
         Some(row) if column < columns => weights[row * columns + column],
         _ => 0,
     }
+}
+
+fn heads<const HIDDEN: usize, const SENSOR_COUNT: usize>(
+    rows: &QuantisedNetwork,
+) -> [Head<HIDDEN>; SENSOR_COUNT] {
+    array::from_fn(|sensor| head(rows, sensor))
 }
 
 fn head<const HIDDEN: usize>(rows: &QuantisedNetwork, sensor: usize) -> Head<HIDDEN> {
