@@ -179,8 +179,7 @@ fn with_inputs<const INPUTS: usize, const HIDDEN: usize>(
     }
 }
 
-// Each function below has only the sizes that it needs: 96 copies of everything would take a seventh of the time in which
-// this crate compiles.
+// Each function below has only the sizes that it needs: this one is compiled 96 times.
 fn device_network<const INPUTS: usize, const HIDDEN: usize, const SENSOR_COUNT: usize>(
     rows: &QuantisedNetwork,
     meta: &Metadata,
