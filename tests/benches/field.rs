@@ -1,7 +1,7 @@
 //! The field of the cylinder compared with MagpyLib's: the same numbers, and how many times faster on one
 //! core, both timed in this run. Needs python3 with magpylib (`pip install magpylib`).
 //!
-//! Exits with an error where the fields differ by 1e-9 relative or the ratio is under 2.
+//! Exits with an error where the fields differ by 1e-9 relative or the ratio is under 8.
 
 use std::process::{Command, ExitCode};
 use std::time::Instant;
@@ -13,7 +13,7 @@ use rand_chacha::ChaCha8Rng;
 
 const POINTS: usize = 100_000;
 const ROUNDS: usize = 5;
-const LEAST_RATIO: f64 = 2.0;
+const LEAST_RATIO: f64 = 8.0;
 const LARGEST_DIFFERENCE: f64 = 1e-9;
 
 fn main() -> ExitCode {
@@ -24,7 +24,7 @@ fn main() -> ExitCode {
     match compare() {
         Ok((ratio, difference)) => {
             println!(
-                "magba is {ratio:.2} times MagpyLib on one core; largest relative difference {difference:.1e}"
+                "the field is {ratio:.2} times MagpyLib on one core; largest relative difference {difference:.1e}"
             );
             if ratio >= LEAST_RATIO && difference <= LARGEST_DIFFERENCE {
                 ExitCode::SUCCESS
@@ -52,7 +52,7 @@ fn compare() -> Result<(f64, f64), String> {
     let (mut ours_s, mut ours) = (f64::INFINITY, Vec::new());
     for _ in 0..ROUNDS {
         let start = Instant::now();
-        ours = points.iter().map(|at| magnet.unit_field(*at)).collect();
+        ours = magnet.unit_fields(&points);
         ours_s = ours_s.min(start.elapsed().as_secs_f64());
     }
     let (theirs_s, theirs) = magpylib(&magnet, &points)?;

@@ -11,9 +11,9 @@ use model_export::recordings::align::Alignment;
 use model_export::recordings::{Campaign, Location, Notice};
 
 use crate::compare::ForceError;
-use crate::compare::campaign_reader::{check_distinct, read_campaign, scan_with_progress};
+use crate::compare::campaign_reader::{check_distinct, read_campaign};
 use crate::compare::force_errors::held_out_forces;
-use crate::data_quality::Finding;
+use crate::data_quality::{Finding, scan_files};
 use crate::notes::{Note, collect};
 use crate::progress;
 
@@ -44,8 +44,11 @@ pub fn fit_model(
     options: FitOptions,
 ) -> Result<CampaignFit> {
     collect(|notes| {
-        let campaign = read_campaign(folder, alignment)?;
-        let findings = data_findings(folder, &campaign)?;
+        // Files are scanned while others are read: recordings are often fewer than twice the cores.
+        let (campaign, scanned) =
+            rayon::join(|| read_campaign(folder, alignment), || scan_files(folder, |_| ()));
+        let campaign = campaign?;
+        let findings = data_findings(scanned?, &campaign);
         let wrong_unit = findings.iter().find(|finding| finding.is_channel_unit()).cloned();
         notes.extend(campaign.notices().cloned().map(Note::Recording));
         notes.extend(unused_forces(&campaign).map(Note::Recording));
@@ -101,16 +104,15 @@ pub(crate) fn unused_forces(campaign: &Campaign) -> impl Iterator<Item = Notice>
     })
 }
 
-/// Setup errors that affect the fit, except in files that a notice of the reader covers already.
-pub(crate) fn data_findings(folder: &Path, campaign: &Campaign) -> Result<Vec<Finding>> {
-    let mut findings = scan_with_progress(folder)?;
+/// Of the setup errors in its files those that affect the fit, except in files that a notice of the reader covers already.
+pub(crate) fn data_findings(mut findings: Vec<Finding>, campaign: &Campaign) -> Vec<Finding> {
     let is_new = |finding: &Finding| {
         // A constant covariate does not affect a fit that does not use it.
         finding.id != "constant_covariate"
             && !campaign.notices().any(|notice| notice.location.file == finding.place.file)
     };
     findings.retain(is_new);
-    Ok(findings)
+    findings
 }
 
 /// Fits the base physics to all sensors, with progress; also returns the notices of the fit.

@@ -12,6 +12,7 @@ use model_export::recordings::error::ErrorKind;
 use model_export::recordings::import::{self, Imported};
 use model_export::recordings::{Campaign, DataError};
 
+use crate::compare::campaign_reader::scan_with_progress;
 use crate::fit::{data_findings, unused_forces};
 use crate::notes::{Note, collect};
 use crate::progress;
@@ -66,7 +67,7 @@ pub fn import_campaign(
         notes.extend(notices.into_iter().map(Note::Recording));
         let campaign =
             Campaign::read(output, Alignment { delay_us: 0.0 }, |_| ()).map_err(explained)?;
-        let findings = data_findings(&campaign.folder, &campaign)?;
+        let findings = data_findings(scan_with_progress(&campaign.folder)?, &campaign);
         notes.extend(findings.into_iter().map(Box::new).map(Note::SetupError));
         notes.extend(unused_forces(&campaign).map(Note::Recording));
         // A channel in another unit looks like permuted axes, too.

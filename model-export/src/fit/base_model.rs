@@ -11,11 +11,6 @@ use crate::fit::polynomial::Polynomial;
 use crate::physics::{FieldResponse, ForwardModel, PhysicalState};
 use crate::recordings::columns::Axis;
 
-/// Field at a state.
-pub type FieldFn<'a> = Box<dyn Fn(&PhysicalState) -> Vector3<f64> + 'a>;
-/// Response at a state, and the derivative of the field to each base parameter.
-pub type LinearFn<'a> = Box<dyn Fn(&PhysicalState, &mut [Vector3<f64>]) -> FieldResponse + 'a>;
-
 /// The base of one sensor's model, as a fit sees it.
 pub trait BaseModel: Send + Sync {
     /// Free parameters with start and prior width.
@@ -33,11 +28,19 @@ pub trait BaseModel: Send + Sync {
     /// Stiffness of both flexures in N/mm; 1 where displacements are forces.
     fn stiffness(&self, values: &[f64]) -> [f64; 2];
 
-    /// The field, for many states of one set of values.
-    fn field(&self, values: &[f64]) -> FieldFn<'_>;
+    /// The field in gauss at each of many states.
+    fn fields(&self, values: &[f64], states: &[PhysicalState]) -> Vec<Vector3<f64>>;
 
-    /// The response, for many states of one set of values.
-    fn linearise(&self, values: &[f64]) -> LinearFn<'_>;
+    /// The response at each of many states.
+    fn responses(&self, values: &[f64], states: &[PhysicalState]) -> Vec<FieldResponse>;
+
+    /// Calls `each` with the response at each of many states, and with the derivative of the field to each base parameter.
+    fn linearise(
+        &self,
+        values: &[f64],
+        states: &[PhysicalState],
+        each: &mut dyn FnMut(FieldResponse, &[Vector3<f64>]),
+    );
 }
 
 /// Exact cylinder magnet on two flexures, parametrised around a nominal design.
@@ -83,21 +86,27 @@ impl BaseModel for CylinderBase {
         [values[0], values[1]]
     }
 
-    fn field(&self, values: &[f64]) -> FieldFn<'_> {
+    fn fields(&self, values: &[f64], states: &[PhysicalState]) -> Vec<Vector3<f64>> {
         let model = self.model(values);
-        let frames = model.frames();
-        Box::new(move |state| model.field_at(&frames, state))
+        model.fields_at(&model.frames(), states)
     }
 
-    fn linearise(&self, values: &[f64]) -> LinearFn<'_> {
+    fn responses(&self, values: &[f64], states: &[PhysicalState]) -> Vec<FieldResponse> {
+        let model = self.model(values);
+        model.responses_at(&model.frames(), states)
+    }
+
+    fn linearise(
+        &self,
+        values: &[f64],
+        states: &[PhysicalState],
+        each: &mut dyn FnMut(FieldResponse, &[Vector3<f64>]),
+    ) {
         let derivatives = Derivatives::new(&self.model(values));
-        Box::new(move |state, columns| {
-            let (response, jacobian) = derivatives.at(state);
-            for (to, from) in columns.iter_mut().zip(jacobian.column_iter()) {
-                *to = from.into_owned();
-            }
-            response
-        })
+        for (state, response) in states.iter().zip(self.responses(values, states)) {
+            let columns = derivatives.columns(state, &response);
+            each(response, &columns[..values.len()]);
+        }
     }
 }
 
@@ -171,19 +180,32 @@ impl BaseModel for PolynomialBase {
         [1.0; 2]
     }
 
-    fn field(&self, values: &[f64]) -> FieldFn<'_> {
+    fn fields(&self, values: &[f64], states: &[PhysicalState]) -> Vec<Vector3<f64>> {
         let model = self.model(values);
         let basis = model.basis();
-        Box::new(move |state| {
+        let field = |state: &PhysicalState| {
             let clean = model.combine(&basis.values(&Self::forces(&self.axes, state)));
             crate::physics::response::field_of(clean + state.external_g, Vector3::zeros(), state)
-        })
+        };
+        states.iter().map(field).collect()
     }
 
-    fn linearise(&self, values: &[f64]) -> LinearFn<'_> {
+    fn responses(&self, values: &[f64], states: &[PhysicalState]) -> Vec<FieldResponse> {
+        let mut responses = Vec::with_capacity(states.len());
+        self.linearise(values, states, &mut |response, _| responses.push(response));
+        responses
+    }
+
+    fn linearise(
+        &self,
+        values: &[f64],
+        states: &[PhysicalState],
+        each: &mut dyn FnMut(FieldResponse, &[Vector3<f64>]),
+    ) {
         let model = self.model(values);
         let basis = model.basis();
-        Box::new(move |state, columns| {
+        let mut columns = vec![Vector3::zeros(); values.len()];
+        for state in states {
             let at = basis.linearise(&Self::forces(&self.axes, state));
             let at_element_g = model.combine(&at.values) + state.external_g;
             let reading =
@@ -199,7 +221,7 @@ impl BaseModel for PolynomialBase {
                     }
                 }
             }
-            FieldResponse {
+            let response = FieldResponse {
                 field_g: reading.field_g,
                 at_element_g,
                 per_field: reading.per_field,
@@ -211,7 +233,8 @@ impl BaseModel for PolynomialBase {
                 per_rotation: reading.per_rotation,
                 per_offset: reading.per_offset,
                 per_compression: reading.per_compression,
-            }
-        })
+            };
+            each(response, &columns);
+        }
     }
 }

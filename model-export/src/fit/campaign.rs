@@ -72,8 +72,10 @@ impl FitSetup {
             .ok_or_else(|| FitError::NoDesign { place: Location::file(&campaign.folder) })?;
         let nominal = ForwardModel::nominal(design);
         let (mut rows, mut missing) = (Vec::new(), Vec::new());
-        for sensor in campaign.sensors() {
-            match SensorRows::with_own_forces(campaign, sensor) {
+        let sensors = campaign.sensors();
+        let found = sensors.par_iter().map(|&sensor| SensorRows::with_own_forces(campaign, sensor));
+        for found in found.collect::<Vec<_>>() {
+            match found {
                 Ok(found) => rows.push(found),
                 Err(error @ FitError::NoForce { .. }) => missing.push(error),
                 Err(error) => return Err(error),
@@ -84,10 +86,10 @@ impl FitSetup {
         {
             return Err(first);
         }
-        for rows in &rows {
+        in_order(rows.par_iter().map(|rows| {
             rows.check_excitation(campaign)?;
-            orientation::check(campaign, rows.sensor, &nominal)?;
-        }
+            orientation::check(campaign, rows.sensor, &nominal)
+        }))?;
         let base = || Arc::new(CylinderBase { nominal }) as Arc<dyn BaseModel>;
         Ok(Self {
             bases: rows.iter().map(|_| base()).collect(),

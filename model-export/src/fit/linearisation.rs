@@ -5,7 +5,7 @@ use crate::fit::problem::SensorProblem;
 use crate::fit::rows::SensorRows;
 use crate::fit::tall_products::{columns, gram, products};
 use crate::physics::{FieldResponse, PhysicalState};
-use nalgebra::{DMatrix, DVector, Vector3};
+use nalgebra::{DMatrix, DVector};
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -37,8 +37,6 @@ impl Linearisation {
         let scaled = problem.to_scaled(values);
         let (mut residual, mut columns) = (Vec::new(), Vec::new());
         let (mut ends, mut rows, mut covariates) = (Vec::new(), Vec::new(), Vec::new());
-        let at = problem.base.linearise(&values[..problem.base_count]);
-        let mut unused = vec![Vector3::zeros(); problem.base_count];
         for (part, of) in problem.rows.parts.iter().enumerate() {
             let (modelled, jacobian) = problem.linearise(part, &scaled);
             let acting = problem.acting(part);
@@ -57,13 +55,13 @@ impl Linearisation {
                     columns.extend(columns_of.iter().map(derivative));
                 }
             }
-            let response = |&row: &usize| {
-                let state = series.states[row];
-                (row, state, at(&state, &mut unused))
-            };
-            rows.push(sampled.iter().map(response).collect());
+            let sampled_series = series.at(&sampled);
+            let states = &sampled_series.states;
+            let responses = problem.base.responses(&values[..problem.base_count], states);
+            let of_row = sampled.iter().zip(states).zip(responses);
+            rows.push(of_row.map(|((row, state), response)| (*row, *state, response)).collect());
             ends.push(residual.len());
-            covariates.push((of.track.at(&sampled), series.at(&sampled)));
+            covariates.push((of.track.at(&sampled), sampled_series));
         }
         let fixed = DMatrix::from_row_slice(residual.len(), fixed.len(), &columns);
         let residual = DVector::from_vec(residual);

@@ -2,8 +2,8 @@
 
 use crate::effects::{EffectParameter, ParameterKind};
 use crate::physics::sensor::rotation_derivative;
-use crate::physics::{FieldResponse, ForwardModel, ModelFrames, PhysicalState};
-use nalgebra::{SMatrix, Vector3};
+use crate::physics::{FieldResponse, ForwardModel, PhysicalState};
+use nalgebra::Vector3;
 
 /// A degree in rad.
 const DEGREE: f64 = std::f64::consts::PI / 180.0;
@@ -13,9 +13,6 @@ pub const COUNT: usize = 14;
 
 /// Index of the first geometric parameter; those before are stiffnesses and act through the state alone.
 pub const FIRST_OF_GEOMETRY: usize = 2;
-
-/// One column of the Jacobian for each parameter, one row for each axis.
-pub type Jacobian = SMatrix<f64, 3, COUNT>;
 
 /// One parameter of the cylinder base.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -114,8 +111,7 @@ pub fn tolerances(nominal: &ForwardModel) -> [f64; COUNT] {
 
 /// Derivatives of the field to the parameters, in their units, for many states of one model.
 pub struct Derivatives {
-    model: ForwardModel,
-    frames: ModelFrames,
+    remanence_t: f64,
     /// Change of the reading per degree of `rotation_x`, `_y`, `_z`.
     turns: [Vector3<f64>; 3],
 }
@@ -125,20 +121,23 @@ impl Derivatives {
     pub fn new(model: &ForwardModel) -> Self {
         let turns = [Vector3::x(), Vector3::y(), Vector3::z()]
             .map(|axis| rotation_derivative(model.rotation_rad, axis) * DEGREE);
-        Self { model: *model, frames: model.frames(), turns }
+        Self { remanence_t: model.remanence_t, turns }
     }
 
-    /// Response at `state`, and the Jacobian of its field. The columns of the stiffnesses are zero: they act
+    /// Derivative to each parameter at `state`, from the model's response there. Those to the stiffnesses are zero: they act
     /// through the state.
-    pub fn at(&self, state: &PhysicalState) -> (FieldResponse, Jacobian) {
-        let response = self.model.response_at(&self.frames, state);
+    pub fn columns(
+        &self,
+        state: &PhysicalState,
+        response: &FieldResponse,
+    ) -> [Vector3<f64>; COUNT] {
         let per_mm = &response.per_mm;
         let [turn_x, turn_y, turn_z] =
             self.turns.map(|spin| response.per_field * spin.cross(&response.at_element_g));
         let [tilt_x, tilt_z] = response.per_tilt.map(|per_rad| per_rad * DEGREE);
         let none = Vector3::zeros();
-        let per_tesla = response.per_strength * (state.strength / self.model.remanence_t);
-        let jacobian = Jacobian::from_columns(&[
+        let per_tesla = response.per_strength * (state.strength / self.remanence_t);
+        [
             none,
             none,
             per_tesla,
@@ -153,8 +152,7 @@ impl Derivatives {
             response.per_offset.column(0).into_owned(),
             response.per_offset.column(1).into_owned(),
             response.per_offset.column(2).into_owned(),
-        ]);
-        (response, jacobian)
+        ]
     }
 }
 
@@ -299,12 +297,13 @@ mod tests {
             };
             let model = at(0, 0.0);
             let state = PhysicalState::displaced(model.displacement([fx, fz]));
-            let (response, jacobian) = Derivatives::new(&model).at(&state);
+            let response = model.response_at(&model.frames(), &state);
+            let columns = Derivatives::new(&model).columns(&state, &response);
             prop_assert!((response.field_g - model.field([fx, fz])).amax() < 1e-9);
             for i in FIRST_OF_GEOMETRY..COUNT {
                 let (ahead, behind) = (at(i, 1e-4).field([fx, fz]), at(i, -1e-4).field([fx, fz]));
                 let plain = (ahead - behind) / (2e-4 * scale[i]);
-                let error = (plain - jacobian.column(i)).amax() * scale[i];
+                let error = (plain - columns[i]).amax() * scale[i];
                 prop_assert!(error < 1e-5 * (1.0 + plain.amax() * scale[i]), "{}: {error}", PARAMETERS[i].name);
             }
         }

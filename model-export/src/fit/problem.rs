@@ -172,8 +172,7 @@ impl<'a> SensorProblem<'a> {
     /// Modelled fields over a recording.
     pub fn fields(&self, part: usize, scaled: &DVector<f64>) -> Vec<Vector3<f64>> {
         let values = self.values(scaled);
-        let field = self.base.field(&values[..self.base_count]);
-        self.states(part, &values).iter().map(field).collect()
+        self.base.fields(&values[..self.base_count], &self.states(part, &values))
     }
 
     /// Fields over a recording, with their derivatives to the forces.
@@ -181,11 +180,10 @@ impl<'a> SensorProblem<'a> {
         let values = self.values(scaled);
         let states = self.states(part, &values);
         let stiffness = self.base.stiffness(&values);
-        let at = self.base.linearise(&values[..self.base_count]);
-        let mut unused = vec![Vector3::zeros(); self.base_count];
         let mut modelled = ModelledFields::with_capacity(states.len());
-        for state in &states {
-            modelled.push(&at(state, &mut unused), stiffness);
+        for states in states.chunks(BLOCK_ROWS) {
+            let responses = self.base.responses(&values[..self.base_count], states);
+            responses.iter().for_each(|response| modelled.push(response, stiffness));
         }
         modelled
     }
@@ -224,7 +222,6 @@ impl<'a> SensorProblem<'a> {
         let track = &self.rows.parts[part].track;
         let chain =
             EffectChain::new(track, self.base.stiffness(&values), self.effects_with(&values));
-        let at = self.base.linearise(&values[..self.base_count]);
         let acting = self.acting(part);
         let derivatives: Vec<f64> = self
             .parameters
@@ -257,16 +254,16 @@ impl<'a> SensorProblem<'a> {
         }
         let states = chain.states();
         let mut jacobian = DMatrix::zeros(3 * BLOCK_ROWS.min(states.len()), acting.len());
-        let mut columns = vec![Vector3::zeros(); self.base_count];
         let mut responses = Vec::with_capacity(BLOCK_ROWS);
         for (block, states) in states.chunks(BLOCK_ROWS).enumerate() {
             responses.clear();
-            for (row, state) in states.iter().enumerate() {
-                responses.push(at(state, &mut columns));
+            let base_values = &values[..self.base_count];
+            self.base.linearise(base_values, states, &mut |response, columns| {
                 for (index, column) in columns.iter().enumerate() {
-                    set_column(&mut jacobian, row, index, column * derivatives[index]);
+                    set_column(&mut jacobian, responses.len(), index, column * derivatives[index]);
                 }
-            }
+                responses.push(response);
+            });
             let first = BLOCK_ROWS * block;
             for (column, step, moved) in &numeric {
                 for (row, change) in moved.changes(first, &responses).enumerate() {
@@ -280,12 +277,9 @@ impl<'a> SensorProblem<'a> {
     fn axis_weights(&self) -> Vector3<f64> {
         let values: Vec<f64> = self.parameters.iter().map(|index| index.start).collect();
         let [kx, kz] = self.base.stiffness(&values);
-        let mut columns = vec![Vector3::zeros(); self.base_count];
-        let rest = self.base.linearise(&values[..self.base_count])(
-            &PhysicalState::displaced(Vector3::zeros()),
-            &mut columns,
-        );
-        let per_newton = [rest.per_mm.column(0) / kx, rest.per_mm.column(2) / kz];
+        let at_rest = [PhysicalState::displaced(Vector3::zeros())];
+        let rest = self.base.responses(&values[..self.base_count], &at_rest);
+        let per_newton = [rest[0].per_mm.column(0) / kx, rest[0].per_mm.column(2) / kz];
         let part = self.rows.parts.iter().max_by_key(|part| part.len());
         let floor = part.map_or_else(Vector3::zeros, |part| {
             noise_variance(part, self.rows.slopes(&per_newton))

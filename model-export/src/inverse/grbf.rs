@@ -257,9 +257,9 @@ pub fn nearest_forces(model: &StaticModel, field_g: &Vector3<f64>, start_n: [f64
     let weight = Vector3::new(1.0, GAP_WEIGHT, 1.0);
     let mut force = Vector2::from(start_n);
     for _ in 0..6 {
-        let [gx, gz] = model.per_newton(force.into());
+        let (at_g, [gx, gz]) = model.linearised(force.into());
         let (wx, wz) = (gx.component_mul(&weight), gz.component_mul(&weight));
-        let residual = field_g - model.field(force.into());
+        let residual = field_g - at_g;
         let normal = Matrix2::new(wx.dot(&gx), wx.dot(&gz), wz.dot(&gx), wz.dot(&gz));
         let right = Vector2::new(wx.dot(&residual), wz.dot(&residual));
         let Some(inverse) = normal.try_inverse() else {

@@ -50,17 +50,27 @@ impl StaticModel {
         self.model.field_at(&self.frames, &self.state(force_n))
     }
 
-    /// `[dB/dFx, dB/dFz]` in G/N.
-    pub fn per_newton(&self, force_n: [f64; 2]) -> [Vector3<f64>; 2] {
+    /// Field in gauss under these forces, and `[dB/dFx, dB/dFz]` in G/N.
+    pub fn linearised(&self, force_n: [f64; 2]) -> (Vector3<f64>, [Vector3<f64>; 2]) {
+        if self.effects.is_empty() {
+            let response = self.model.response_at(&self.frames, &self.state(force_n));
+            return (response.field_g, self.model.per_newton(&response));
+        }
         let step_n = STEP * self.model.force_range_n;
-        [0, 1].map(|axis| {
+        let per_newton = [0, 1].map(|axis| {
             let at = |by: f64| {
                 let mut moved = force_n;
                 moved[axis] += by;
                 self.field(moved)
             };
             (at(step_n) - at(-step_n)) / (2.0 * step_n)
-        })
+        });
+        (self.field(force_n), per_newton)
+    }
+
+    /// `[dB/dFx, dB/dFz]` in G/N.
+    pub fn per_newton(&self, force_n: [f64; 2]) -> [Vector3<f64>; 2] {
+        self.linearised(force_n).1
     }
 
     /// dB/dd in G/mm under these forces.

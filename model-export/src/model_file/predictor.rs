@@ -108,8 +108,7 @@ impl Predictor {
         let PredictorBase::FromState { base, values } = &self.base else {
             return None;
         };
-        let field = base.field(values);
-        Some(self.states(excitation, base.stiffness(values)).iter().map(field).collect())
+        Some(base.fields(values, &self.states(excitation, base.stiffness(values))))
     }
 
     /// Field and sensitivities over the rows of a recording.
@@ -127,10 +126,8 @@ impl Predictor {
             }
             PredictorBase::FromState { base, values } => {
                 let [kx, kz] = base.stiffness(values);
-                let at = base.linearise(values);
-                let mut columns = vec![Vector3::zeros(); values.len()];
-                for state in self.states(&part.track, [kx, kz]) {
-                    let response = at(&state, &mut columns);
+                let states = self.states(&part.track, [kx, kz]);
+                for response in base.responses(values, &states) {
                     let slope = |axis| match axis {
                         Axis::Z => response.per_mm.column(2) / kz,
                         _ => response.per_mm.column(0) / kx,

@@ -4,7 +4,7 @@
 //! `y` from the element to the magnet. A positive force moves the magnet along the positive axis: Bx depends
 //! on Fx, Bz on Fz, and By is of second order in both.
 
-use nalgebra::{Rotation3, Vector3};
+use nalgebra::{Matrix3, Rotation3, Vector3};
 
 use crate::physics::magnet::{Magnet, Magnetisation};
 use crate::physics::response::{FieldResponse, PhysicalState, field_of, reading_of};
@@ -84,8 +84,28 @@ impl ForwardModel {
 
     /// Reading in gauss at a state.
     pub fn field_at(&self, frames: &ModelFrames, state: &PhysicalState) -> Vector3<f64> {
-        let turn = self.magnet_rotation(frames, state);
-        let unit_g = turn * self.magnet.unit_field(turn.inverse() * self.element_mm(state));
+        let (turn, at_mm) = self.element_in_magnet(frames, state);
+        self.reading(frames, state, &turn, self.magnet.unit_field(at_mm))
+    }
+
+    /// [`ForwardModel::field_at`] many states.
+    pub fn fields_at(&self, frames: &ModelFrames, states: &[PhysicalState]) -> Vec<Vector3<f64>> {
+        let (turns, at_mm): (Vec<_>, Vec<_>) =
+            states.iter().map(|state| self.element_in_magnet(frames, state)).unzip();
+        let units = self.magnet.unit_fields(&at_mm);
+        let all = states.iter().zip(turns.iter().zip(units));
+        all.map(|(state, (turn, unit))| self.reading(frames, state, turn, unit)).collect()
+    }
+
+    /// Reading at a state with this field in the magnet's frame, in gauss per tesla of remanence.
+    fn reading(
+        &self,
+        frames: &ModelFrames,
+        state: &PhysicalState,
+        turn: &Rotation3<f64>,
+        unit: Vector3<f64>,
+    ) -> Vector3<f64> {
+        let unit_g = turn * unit;
         let at_element = frames.element * (unit_g * self.strength_t(state) + state.external_g);
         field_of(at_element, self.bias_g, state)
     }
@@ -108,9 +128,33 @@ impl ForwardModel {
 
     /// Reading and derivatives at a state; `frames` from [`ForwardModel::frames`].
     pub fn response_at(&self, frames: &ModelFrames, state: &PhysicalState) -> FieldResponse {
-        let turn = self.magnet_rotation(frames, state);
+        let (turn, at_mm) = self.element_in_magnet(frames, state);
+        let in_magnet = self.magnet.unit_field_and_gradient(at_mm);
+        self.response_with(frames, state, &turn, in_magnet)
+    }
+
+    /// [`ForwardModel::response_at`] many states.
+    pub fn responses_at(
+        &self,
+        frames: &ModelFrames,
+        states: &[PhysicalState],
+    ) -> Vec<FieldResponse> {
+        let (turns, at_mm): (Vec<_>, Vec<_>) =
+            states.iter().map(|state| self.element_in_magnet(frames, state)).unzip();
+        let in_magnet = self.magnet.unit_fields_and_gradients(&at_mm);
+        let all = states.iter().zip(turns.iter().zip(in_magnet));
+        all.map(|(state, (turn, found))| self.response_with(frames, state, turn, found)).collect()
+    }
+
+    /// Response with this field and gradient in the magnet's frame, per tesla of remanence.
+    fn response_with(
+        &self,
+        frames: &ModelFrames,
+        state: &PhysicalState,
+        turn: &Rotation3<f64>,
+        (unit, gradient): (Vector3<f64>, Matrix3<f64>),
+    ) -> FieldResponse {
         let element_mm = self.element_mm(state);
-        let (unit, gradient) = self.magnet.unit_field_and_gradient(turn.inverse() * element_mm);
         let unit_g = turn * unit;
         let strength_t = self.strength_t(state);
         // Negative: the magnet moves, the element is fixed.
@@ -148,6 +192,16 @@ impl ForwardModel {
         let reach = reach_mm(&self.magnet, self.axis, self.body_axis);
         let [x, z] = self.offset_mm;
         -(state.displacement_mm + Vector3::new(x, self.gap_mm + reach, z))
+    }
+
+    /// The magnet's rotation at a state, and the Hall element in the magnet's frame in mm.
+    fn element_in_magnet(
+        &self,
+        frames: &ModelFrames,
+        state: &PhysicalState,
+    ) -> (Rotation3<f64>, Vector3<f64>) {
+        let turn = self.magnet_rotation(frames, state);
+        (turn, turn.inverse() * self.element_mm(state))
     }
 
     fn strength_t(&self, state: &PhysicalState) -> f64 {
@@ -224,7 +278,6 @@ mod tests {
     use crate::physics::{Cylinder, MagnetBody};
     use approx::assert_abs_diff_eq;
     use firmware::config::constants;
-    use nalgebra::Matrix3;
     use proptest::prelude::*;
 
     fn nominal() -> ForwardModel {

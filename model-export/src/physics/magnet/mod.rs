@@ -1,9 +1,9 @@
 //! Exact fields of permanent magnets, and their gradients.
 //!
-//! Every field is a closed form: cylinder (axial: Derby and Olbert 2010; diametric: Caciagli et al. 2018)
-//! and cube from `magba`, the sphere as a dipole, the tube as its outer cylinder minus its hole. All are
-//! verified against MagpyLib. Gradients are closed forms for cube and sphere, otherwise central differences
-//! combined with curl B = 0 and div B = 0.
+//! Every field is a closed form: the cylinder magnetised along its axis (Derby and Olbert 2010), the cylinder magnetised across it
+//! (Caciagli et al. 2018) and the cube from `magba`, the sphere as a dipole, the tube as its outer cylinder minus its hole. All are
+//! verified against MagpyLib. Gradients are closed forms, or for magnetisation across a cylinder central differences combined with
+//! curl B = 0 and div B = 0.
 
 use magba::fields::{cuboid_B, sphere_B};
 use nalgebra::{Matrix3, Point3, UnitQuaternion, Vector3};
@@ -117,6 +117,27 @@ impl Magnet {
             (MagnetBody::Sphere { diameter_mm }, _) => {
                 (self.unit_field(at_mm), sphere_gradient(diameter_mm, self.direction(), at_mm))
             }
+        }
+    }
+
+    /// [`Magnet::unit_field`] at many points.
+    pub fn unit_fields(&self, at_mm: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
+        match (self.body, self.magnetised) {
+            (MagnetBody::Cylinder(cylinder), Magnetisation::Axial) => cylinder.unit_fields(at_mm),
+            _ => at_mm.iter().map(|at_mm| self.unit_field(*at_mm)).collect(),
+        }
+    }
+
+    /// [`Magnet::unit_field_and_gradient`] at many points.
+    pub fn unit_fields_and_gradients(
+        &self,
+        at_mm: &[Vector3<f64>],
+    ) -> Vec<(Vector3<f64>, Matrix3<f64>)> {
+        match (self.body, self.magnetised) {
+            (MagnetBody::Cylinder(cylinder), Magnetisation::Axial) => {
+                cylinder.unit_fields_and_gradients(at_mm)
+            }
+            _ => at_mm.iter().map(|at_mm| self.unit_field_and_gradient(*at_mm)).collect(),
         }
     }
 

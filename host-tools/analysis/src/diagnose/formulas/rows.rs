@@ -116,8 +116,6 @@ fn of_sensor(
     let left_out = of_effects(&|effect| without.contains(effect));
     let without_prior = of_effects(&|effect| matches!(effect, EffectTerm::Expression(_)));
     let stiffness = problem.base.stiffness(values);
-    let at = problem.base.linearise(&values[..problem.base_count]);
-    let mut unused = vec![Vector3::zeros(); problem.base_count];
     let (mut residual, mut patterns) = (Vec::new(), vec![Vec::new(); points.len()]);
     let mut jacobian: Vec<f64> = Vec::new();
     let mut folds: Vec<(Option<usize>, Range<usize>)> = Vec::new();
@@ -134,11 +132,12 @@ fn of_sensor(
             let mut sums = vec![Vector3::zeros(); 1 + points.len()];
             let mut derivatives = DMatrix::<f64>::zeros(3, columns);
             let mut covariance = Matrix3::zeros();
-            for row in window.clone() {
-                let response = at(&series.states[row], &mut unused);
+            let states = &series.states[window.clone()];
+            let responses = problem.base.responses(&values[..problem.base_count], states);
+            for (row, response) in window.clone().zip(&responses) {
                 sums[0] += part.field_g[row] - modelled.fields[row];
                 for (sum, point) in sums[1..].iter_mut().zip(points) {
-                    *sum += point.pattern(&response, series.force_n[row], stiffness);
+                    *sum += point.pattern(response, series.force_n[row], stiffness);
                 }
                 for (&index, column) in acting.iter().zip(part_jacobian.column_iter()) {
                     let mut sum = derivatives.column_mut(index);
