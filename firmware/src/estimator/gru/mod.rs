@@ -160,12 +160,12 @@ pub fn apply<const INPUTS: usize, const HIDDEN: usize, const HEADS: usize>(
     ahead: &mut [Option<Step<HEADS>>],
     estimates: &mut [Estimate; SENSORS],
 ) {
-    // Inputs are those of the ideal model, not of other networks.
-    let ideal = *estimates;
-    for ((network, run), ahead) in networks.iter().zip(runs).zip(ahead) {
-        let step =
-            ahead.take().unwrap_or_else(|| run.step(network, |source| value(&ideal, source)));
-        let Some(predictions) = step else {
+    // All of them before the first merge: inputs are those of the ideal model, not of other networks.
+    for ((network, run), ahead) in networks.iter().zip(runs).zip(&mut *ahead) {
+        ahead.get_or_insert_with(|| run.step(network, |source| value(estimates, source)));
+    }
+    for (network, ahead) in networks.iter().zip(ahead) {
+        let Some(predictions) = ahead.take().flatten() else {
             continue;
         };
         let heads = network.sensors.iter().zip(&network.guards);
