@@ -76,6 +76,7 @@ pub async fn estimate<N: NetworkBank, C: Clock, M: RawMutex>(
     let mut samples = CovariateSamples::default();
     // No tick begins at zero.
     let mut inputs = TickInputs::of(&samples, 0);
+    estimator.prepare_first();
     loop {
         // A late frame goes before the first readings of the next.
         let next = select(shared.sensed.wait(), shared.first_readings.wait()).await;
@@ -148,6 +149,8 @@ pub async fn estimate<N: NetworkBank, C: Clock, M: RawMutex>(
                 readings: frame.readings,
             });
         }
+        // Here and not before the first readings, because nothing wakes this task then; last, because others wait for the rest.
+        estimator.prepare_first();
     }
 }
 
