@@ -38,14 +38,18 @@ impl Machine for Comparison {
         state: &mut GruState<INPUTS, HIDDEN, SENSORS>,
     ) {
         let mut portable = state.clone();
-        kernel::gru::assembly(weights, state);
-        gru::portable(weights, &mut portable);
+        gru::step(weights, state);
+        gru::portable::step(weights, &mut portable);
         self.steps += 1;
         self.compare(
             state.full.as_flattened().as_flattened(),
             portable.full.as_flattened().as_flattened(),
         );
         self.compare(state.outputs.as_flattened(), portable.outputs.as_flattened());
+        self.compare(
+            state.recurrent.as_flattened().as_flattened().as_flattened(),
+            portable.recurrent.as_flattened().as_flattened().as_flattened(),
+        );
         if state.upper != portable.upper || state.input != portable.input {
             self.differing_bits += 1;
         }

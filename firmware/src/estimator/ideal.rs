@@ -1,7 +1,7 @@
 //! The ideal model: from the compensated field at a sensor to its two forces, by scaling, a linear part and Gaussian
 //! radial basis functions.
 
-use crate::fixed_point::{Field, Force, saturate};
+use crate::fixed_point::{Field, Force, mul_q, saturate};
 use crate::model::formats::{
     AxisScale, COORDINATE_LIMIT, GAIN_BITS, Linear, SLOPE_BITS, SensorTable, Tables,
 };
@@ -42,10 +42,8 @@ pub fn evaluate(tables: &Tables, sensor: &SensorTable, field: [Field; 3]) -> Ide
 
 /// The scaled coordinate, clamped to the box, and whether it is inside.
 fn coordinate(scale: AxisScale, field: Field) -> (i16, bool) {
-    let centred = i64::from(field.0) - i64::from(scale.offset);
-    let half = 1 << (GAIN_BITS - 1);
-    let scaled = (centred.saturating_mul(i64::from(scale.gain)).saturating_add(half)) >> GAIN_BITS;
-    let limit = i64::from(COORDINATE_LIMIT);
+    let scaled = mul_q(field.0.saturating_sub(scale.offset), scale.gain, GAIN_BITS);
+    let limit = i32::from(COORDINATE_LIMIT);
     let clamped = scaled.clamp(-limit, limit);
     (clamped as i16, clamped == scaled)
 }

@@ -100,11 +100,21 @@ pub trait NetworkBank {
     /// Steps the networks and merges their predictions into the estimates of the frame.
     fn apply(&mut self, estimates: &mut [Estimate; SENSORS]);
 
+    /// Does what of the next step needs no estimate, for the networks that depend on these sensors alone.
+    fn prepare(&mut self, _sensors: [bool; SENSORS]) {}
+
     /// Steps the networks ahead of [`Self::apply`] that depend on these sensors alone, in place of those stepped ahead before.
+    /// Does what of the step of the others needs no estimate.
     fn step_ahead(&mut self, _estimates: &[Estimate; SENSORS], _sensors: [bool; SENSORS]) {}
 }
 
 impl<N: NetworkBank> NetworkBank for Option<N> {
+    fn prepare(&mut self, sensors: [bool; SENSORS]) {
+        if let Some(networks) = self {
+            networks.prepare(sensors);
+        }
+    }
+
     fn apply(&mut self, estimates: &mut [Estimate; SENSORS]) {
         if let Some(networks) = self {
             networks.apply(estimates);
@@ -152,6 +162,11 @@ impl<'t, N: NetworkBank> Estimator<'t, N> {
     pub const fn within(mut self, limits: &DetectionLimits) -> Self {
         self.monitor = NetworkMonitor::new(limits);
         self
+    }
+
+    /// Does what of the next [`Self::update_first`] needs no reading.
+    pub fn prepare_first(&mut self) {
+        self.networks.prepare(FIRST_SENSORS);
     }
 
     /// Does what [`Self::update`] does with the first readings of a frame ([`FIRST_SENSORS`]), ahead of the others. The inputs
@@ -250,6 +265,9 @@ mod tests {
             let expected = whole.update(&frame, &inputs);
             let [first, _, third, _] = frame.readings;
             let first = HallFrame { readings: [first, None, third, None], ..frame };
+            if !tick.is_multiple_of(3) {
+                ahead.prepare_first();
+            }
             // Sometimes they are not taken in time, and then too late.
             if !tick.is_multiple_of(5) {
                 ahead.update_first(&first, &inputs);

@@ -37,16 +37,28 @@ pub fn residual(sensor: &SensorTable, field: [Field; 3], coordinates: [i16; 3]) 
 /// Horner's rule, in the unit of [`Field`]. The exporter ensures by [`max_sum`] that no sum exceeds 32 bits; with other
 /// tables sums wrap.
 fn polynomial(terms: &[i32; PARITY_TERMS], u: i16, v: i16) -> i32 {
-    let times =
-        |sum: i32, by: i16| ((i64::from(sum) * i64::from(by)) >> PARITY_ARGUMENT_BITS) as i32;
-    let mut terms = terms.iter();
-    let mut sum = 0;
-    for degree in 0..=PARITY_DEGREE {
-        let row = terms.by_ref().take(degree + 1);
-        let row = row.fold(0, |row, term| times(row, v).wrapping_add(*term));
-        sum = times(sum, u).wrapping_add(row);
-    }
+    // Rows of constant lengths: unrolled, they take half the instructions of a loop over the degree.
+    let rows: [i32; PARITY_DEGREE + 1] = [
+        row::<1>(terms, v),
+        row::<2>(terms, v),
+        row::<3>(terms, v),
+        row::<4>(terms, v),
+        row::<5>(terms, v),
+        row::<6>(terms, v),
+        row::<7>(terms, v),
+    ];
+    let sum = rows.iter().fold(0, |sum, row| times(sum, u).wrapping_add(*row));
     sum.wrapping_add(1 << (PARITY_TERM_BITS - 1)) >> PARITY_TERM_BITS
+}
+
+/// Factor of one power of u: the polynomial in v with this number of terms.
+fn row<const LENGTH: usize>(terms: &[i32; PARITY_TERMS], v: i16) -> i32 {
+    let terms = terms.iter().skip(LENGTH * (LENGTH - 1) / 2).take(LENGTH);
+    terms.fold(0, |sum, term| times(sum, v).wrapping_add(*term))
+}
+
+fn times(sum: i32, by: i16) -> i32 {
+    ((i64::from(sum) * i64::from(by)) >> PARITY_ARGUMENT_BITS) as i32
 }
 
 /// Upper bound of all sums in the polynomial: the sum of absolute terms at the maximum arguments, plus rounding.

@@ -226,6 +226,9 @@ pub struct GruState<const INPUTS: usize, const HIDDEN: usize, const SENSORS: usi
     pub full: [[[i32; 2]; HIDDEN]; 2],
     /// Latest outputs.
     pub outputs: [[i32; OUTPUTS]; SENSORS],
+    /// Accumulators of the next step after the recurrent products: those of the gates with their biases, the candidate's recurrent
+    /// one.
+    pub recurrent: [[[[i32; GATES]; 2]; HIDDEN]; 2],
 }
 
 impl<const INPUTS: usize, const HIDDEN: usize, const SENSORS: usize>
@@ -237,6 +240,7 @@ impl<const INPUTS: usize, const HIDDEN: usize, const SENSORS: usize>
         upper: [[[0; 2]; HIDDEN]; 2],
         full: [[[0; 2]; HIDDEN]; 2],
         outputs: [[0; OUTPUTS]; SENSORS],
+        recurrent: [[[[0; GATES]; 2]; HIDDEN]; 2],
     };
 }
 

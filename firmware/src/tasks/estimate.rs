@@ -43,8 +43,8 @@ pub struct ForceSample {
 }
 
 /// Inputs of the compensation in a tick.
-#[derive(Clone, Copy)]
 struct TickInputs {
+    /// When it began, in microseconds since boot.
     begun_us: u64,
     covariates: Covariates,
     auxiliary: AuxiliaryInputs,
@@ -74,29 +74,30 @@ pub async fn estimate<N: NetworkBank, C: Clock, M: RawMutex>(
     let mut tick = 0_u32;
     let mut last_us = None;
     let mut samples = CovariateSamples::default();
-    let mut inputs: Option<TickInputs> = None;
+    // No tick begins at zero.
+    let mut inputs = TickInputs::of(&samples, 0);
+    estimator.prepare_first();
     loop {
         // A late frame goes before the first readings of the next.
         let next = select(shared.sensed.wait(), shared.first_readings.wait()).await;
         let woken_us = clock.now_us();
-        samples.motor = motor().or(samples.motor);
+        if let Some(status) = motor() {
+            samples.motor = Some(status);
+        }
         let begun_us = match &next {
             Either::First(sensed) => sensed.begun_us,
             Either::Second(first) => first.begun_us,
         };
-        let TickInputs { covariates, auxiliary, .. } =
-            match inputs.filter(|inputs| inputs.begun_us == begun_us) {
-                Some(inputs) => inputs,
-                None => {
-                    samples.inertial = shared.inertial.get();
-                    samples.host = shared.host_motion.get();
-                    *inputs.insert(TickInputs::of(&samples, begun_us))
-                }
-            };
+        if inputs.begun_us != begun_us {
+            samples.inertial = shared.inertial.get();
+            samples.host = shared.host_motion.get();
+            inputs = TickInputs::of(&samples, begun_us);
+        }
+        let TickInputs { covariates, auxiliary, .. } = &inputs;
         let sensed = match next {
             Either::First(sensed) => sensed,
             Either::Second(first) => {
-                estimator.update_first(&first.frame, &auxiliary);
+                estimator.update_first(&first.frame, auxiliary);
                 continue;
             }
         };
@@ -109,7 +110,8 @@ pub async fn estimate<N: NetworkBank, C: Clock, M: RawMutex>(
             // Its loops have stopped.
             motor.state = MotorState::Tripped(Trip::CommandTimeout);
         }
-        let mut estimates = estimator.update(&sensed.frame, &auxiliary);
+        let frame = sensed.frame();
+        let mut estimates = estimator.update(&frame, auxiliary);
         let done_us = clock.now_us();
         let counts = &shared.counts;
         for (worst, spent_us) in [
@@ -133,7 +135,7 @@ pub async fn estimate<N: NetworkBank, C: Clock, M: RawMutex>(
             motor,
             acceleration: auxiliary.acceleration.filter(|_| bears_mass),
         });
-        if shared.ticks.try_send(Tick::of(&sensed.frame, &estimates, covariates)).is_err() {
+        if shared.ticks.try_send(Tick::of(&frame, &estimates, *covariates)).is_err() {
             shared.counts.packets_unsent.fetch_add(1, Ordering::Relaxed);
         }
         // Copying every sample to a task that sends one of ten takes 2 % of the core's time. Thread mode runs the
@@ -144,9 +146,11 @@ pub async fn estimate<N: NetworkBank, C: Clock, M: RawMutex>(
                 tick,
                 begun_us: sensed.begun_us,
                 estimates,
-                readings: sensed.frame.readings,
+                readings: frame.readings,
             });
         }
+        // Here and not before the first readings, because nothing wakes this task then; last, because others wait for the rest.
+        estimator.prepare_first();
     }
 }
 

@@ -31,12 +31,18 @@ const RECOVERY_PAUSE: u8 = 100;
 /// Result of one tick of sensing.
 #[derive(Clone, Copy, Debug)]
 pub struct SensedFrame {
-    /// Usable readings.
-    pub frame: HallFrame,
-    /// Condition and age of each sensor.
+    /// Usable reading, condition and age of each sensor.
     pub watched: [MonitoredReading; SENSORS],
     /// When the tick began, in microseconds since boot.
     pub begun_us: u64,
+}
+
+impl SensedFrame {
+    /// Usable readings.
+    pub fn frame(&self) -> HallFrame {
+        let readings = self.watched.map(|sensor| sensor.reading);
+        HallFrame { time_us: self.begun_us as u32, readings }
+    }
 }
 
 /// Readings of the sensors that are read first ([`hall::FIRST_SENSORS`]), published while the others are read.
@@ -100,22 +106,22 @@ pub async fn sense<P: HallSensor, B: SensorBus, C: Clock, M: RawMutex>(
             polled_at([read_limit.as_mut(), sense_limit.as_mut()], reads).await
         };
         let [w0, w1, w2, w3] = &mut watches;
-        let [s0, _, s2, _] = read_back.without_changed([r0, None, r2, None]);
-        let (m0, m2) = (w0.update(s0), w2.update(s2));
-        let time_us = now_us as u32;
-        let (r1, r3) = {
+        let ((r1, r3), (m0, m2)) = {
             let reads = join(
                 first.read_last::<P, C, M>(b, now_us, clock, shared),
                 second.read_last::<P, C, M>(d, now_us, clock, shared),
             );
             // After both transfers have begun.
             let publish = async {
+                let [s0, _, s2, _] = read_back.without_changed([r0, None, r2, None]);
+                let (m0, m2) = (w0.update(s0), w2.update(s2));
                 let readings = [m0.reading, None, m2.reading, None];
-                let frame = HallFrame { time_us, readings };
+                let frame = HallFrame { time_us: now_us as u32, readings };
                 shared.first_readings.signal(FirstReadings { frame, begun_us: now_us });
+                (m0, m2)
             };
             let reads = pin!(join(reads, publish));
-            polled_at([read_limit.as_mut(), sense_limit.as_mut()], reads).await.0
+            polled_at([read_limit.as_mut(), sense_limit.as_mut()], reads).await
         };
         for (stuck_ticks, bus) in [(first.stuck_ticks, 0), (second.stuck_ticks, 1)] {
             let fault = (Fault::BusStuck, bus);
@@ -130,9 +136,7 @@ pub async fn sense<P: HallSensor, B: SensorBus, C: Clock, M: RawMutex>(
         let answer = [r0, r1, r2, r3].map(|sample| sample.is_some());
         let [_, s1, _, s3] = read_back.without_changed([None, r1, None, r3]);
         let watched = [m0, w1.update(s1), m2, w3.update(s3)];
-        let readings = watched.map(|sensor| sensor.reading);
-        let frame = HallFrame { time_us, readings };
-        shared.sensed.signal(SensedFrame { frame, watched, begun_us: now_us });
+        shared.sensed.signal(SensedFrame { watched, begun_us: now_us });
         begin_us = begin_us.saturating_add(TICK_US);
         next_tick.set(clock.until(begin_us));
         read_limit.await;

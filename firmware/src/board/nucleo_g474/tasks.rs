@@ -22,7 +22,7 @@ use crate::board::selected::{NucleoG474, crash};
 use crate::board::{Bsp, MotorDrive, MotorMonitor, Peripherals, Thermometer, Watchdog};
 use crate::clock::Clock;
 use crate::config::limits::{DetectionLimits, GripLimits};
-use crate::estimator::Estimator;
+use crate::estimator::{Estimator, NetworkBank};
 use crate::grip::GripController;
 use crate::model::calibration::Payload;
 use crate::model::tables::{DESCRIPTION, NETWORKS, TABLES, TablesCalibration};
@@ -154,6 +154,12 @@ async fn inertial(shared: Shared, imu: <B as Bsp>::Imu) {
     tasks::inertial::inertial(imu, &BoardClock, shared).await;
 }
 
+/// Not inlined: copies of the networks' states are then on the stack during this call only, and not in every call of the task.
+#[inline(never)]
+fn estimator(calibration: &'static Calibration) -> Estimator<'static, impl NetworkBank> {
+    Estimator::new(&calibration.tables, calibration.bank())
+}
+
 #[embassy_executor::task]
 async fn control(
     shared: Shared,
@@ -162,7 +168,7 @@ async fn control(
     mut motor: <Drive as MotorDrive>::Port,
     mut motor_status: <Drive as MotorDrive>::Monitor,
 ) {
-    let mut estimator = Estimator::new(&calibration.tables, calibration.bank());
+    let mut estimator = estimator(calibration);
     let is_self_locking = shared.parameters().backdrivability() == Backdrivability::SelfLocking;
     let mut grip = GripController::new(GripLimits::GRIPPER, screw, is_self_locking);
     let mut state = GripLoop::default();

@@ -26,13 +26,23 @@ pub struct GruInference<const INPUTS: usize, const HIDDEN: usize, const HEADS: u
     pub state: GruState<INPUTS, HIDDEN, HEADS>,
     /// Steps since the reset, saturating.
     pub steps: u16,
+    /// Whether [`Self::prepare`] was called since the last step.
+    is_prepared: bool,
 }
 
 impl<const INPUTS: usize, const HIDDEN: usize, const HEADS: usize>
     GruInference<INPUTS, HIDDEN, HEADS>
 {
     /// State after a reset.
-    pub const RESET: Self = Self { state: GruState::RESET, steps: 0 };
+    pub const RESET: Self = Self { state: GruState::RESET, steps: 0, is_prepared: false };
+
+    /// Does what of the next step needs no input.
+    pub fn prepare(&mut self, network: &Network<INPUTS, HIDDEN, HEADS>) {
+        if !self.is_prepared {
+            gru::prepare(&network.weights, &mut self.state);
+            self.is_prepared = true;
+        }
+    }
 
     /// One step; `value` reads an input in the unit of its source. Returns `None` during the warm-up. A missing
     /// input resets the network, because it breaks the time series.
@@ -54,7 +64,9 @@ impl<const INPUTS: usize, const HIDDEN: usize, const HEADS: usize>
             *self = Self::RESET;
             return None;
         }
-        gru::step(&network.weights, &mut self.state);
+        self.prepare(network);
+        gru::finish(&network.weights, &mut self.state);
+        self.is_prepared = false;
         self.steps = self.steps.saturating_add(1);
         let predictions =
             self.state.outputs.map(|outputs| scale::prediction(network.force, outputs));
@@ -95,6 +107,14 @@ impl<'n, const INPUTS: usize, const HIDDEN: usize, const HEADS: usize, const NET
 impl<const INPUTS: usize, const HIDDEN: usize, const HEADS: usize, const NETWORKS: usize>
     NetworkBank for GruBank<'_, INPUTS, HIDDEN, HEADS, NETWORKS>
 {
+    fn prepare(&mut self, sensors: [bool; SENSORS]) {
+        for (network, run) in self.networks.iter().zip(&mut self.runs) {
+            if network.depends_only_on(sensors) {
+                run.prepare(network);
+            }
+        }
+    }
+
     fn apply(&mut self, estimates: &mut [Estimate; SENSORS]) {
         apply(self.networks, &mut self.runs, &mut self.ahead, estimates);
     }
@@ -102,8 +122,12 @@ impl<const INPUTS: usize, const HIDDEN: usize, const HEADS: usize, const NETWORK
     fn step_ahead(&mut self, estimates: &[Estimate; SENSORS], sensors: [bool; SENSORS]) {
         for ((network, run), ahead) in self.networks.iter().zip(&mut self.runs).zip(&mut self.ahead)
         {
-            let is_possible = network.depends_only_on(sensors);
-            *ahead = is_possible.then(|| run.step(network, |source| value(estimates, source)));
+            *ahead = if network.depends_only_on(sensors) {
+                Some(run.step(network, |source| value(estimates, source)))
+            } else {
+                run.prepare(network);
+                None
+            };
         }
     }
 }
@@ -133,6 +157,13 @@ impl<'n, const INPUTS: usize, const HIDDEN: usize, const HEADS: usize>
 impl<const INPUTS: usize, const HIDDEN: usize, const HEADS: usize> NetworkBank
     for CalibratedBank<'_, INPUTS, HIDDEN, HEADS>
 {
+    fn prepare(&mut self, sensors: [bool; SENSORS]) {
+        match self {
+            Self::Linked(bank) => bank.prepare(sensors),
+            Self::Loaded(bank) => bank.prepare(sensors),
+        }
+    }
+
     fn apply(&mut self, estimates: &mut [Estimate; SENSORS]) {
         match self {
             Self::Linked(bank) => bank.apply(estimates),
@@ -160,12 +191,12 @@ pub fn apply<const INPUTS: usize, const HIDDEN: usize, const HEADS: usize>(
     ahead: &mut [Option<Step<HEADS>>],
     estimates: &mut [Estimate; SENSORS],
 ) {
-    // Inputs are those of the ideal model, not of other networks.
-    let ideal = *estimates;
-    for ((network, run), ahead) in networks.iter().zip(runs).zip(ahead) {
-        let step =
-            ahead.take().unwrap_or_else(|| run.step(network, |source| value(&ideal, source)));
-        let Some(predictions) = step else {
+    // All of them before the first merge: inputs are those of the ideal model, not of other networks.
+    for ((network, run), ahead) in networks.iter().zip(runs).zip(&mut *ahead) {
+        ahead.get_or_insert_with(|| run.step(network, |source| value(estimates, source)));
+    }
+    for (network, ahead) in networks.iter().zip(ahead) {
+        let Some(predictions) = ahead.take().flatten() else {
             continue;
         };
         let heads = network.sensors.iter().zip(&network.guards);
