@@ -62,13 +62,13 @@ pub struct TimeLimits {
 
 /// Limits at each of [`CONDITIONS`].
 pub const TIME_LIMITS: [TimeLimits; 3] = [
-    TimeLimits { load: 0.44, estimate_us: 400, frame_us: 700 },
-    TimeLimits { load: 0.48, estimate_us: 470, frame_us: 800 },
-    TimeLimits { load: 0.57, estimate_us: 520, frame_us: 950 },
+    TimeLimits { load: 0.44, estimate_us: 370, frame_us: 700 },
+    TimeLimits { load: 0.48, estimate_us: 445, frame_us: 800 },
+    TimeLimits { load: 0.56, estimate_us: 485, frame_us: 950 },
 ];
 
 /// Longest tick of sensing and estimating at typical execution times.
-pub const WORST_TICK_US: u16 = 600;
+pub const WORST_TICK_US: u16 = 550;
 /// Greatest shares of the core's time from the start, in motion at typical execution times, and in motion or a flood of frames
 /// without caches of the flash; and of the stack.
 pub const LOAD: f64 = 0.6;
