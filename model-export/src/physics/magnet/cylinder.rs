@@ -339,7 +339,7 @@ mod tests {
 
     /// Points in mm around and inside the nominal magnet, up to 30 radii away, some of them near the axis or an edge.
     fn points() -> impl Strategy<Value = Vec<Vector3<f64>>> {
-        let near = || prop_oneof![Just(0.0), (-5.0..0.0_f64).prop_map(|e| libm::exp10(e))];
+        let near = || prop_oneof![Just(0.0), (-5.0..0.0_f64).prop_map(libm::exp10)];
         let anywhere = (-1.0..1.0_f64, -1.0..1.0_f64, -1.0..1.0_f64, 0.0..30.0_f64)
             .prop_map(|(x, y, z, radii)| Vector3::new(x, y, z) * 1.5 * radii);
         let at_axis = (near(), -9.0..9.0_f64).prop_map(|(x, z)| Vector3::new(x, -x, z));
