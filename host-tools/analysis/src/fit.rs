@@ -8,10 +8,11 @@ use model_export::fit::campaign::FitSetup;
 use model_export::fit::{self, CampaignFits, FitOptions};
 use model_export::model_file::{BaseKind, ModelFile, Provenance};
 use model_export::recordings::align::Alignment;
+use model_export::recordings::campaign::recording_folders;
 use model_export::recordings::{Campaign, Location, Notice};
 
 use crate::compare::ForceError;
-use crate::compare::campaign_reader::{check_distinct, read_campaign};
+use crate::compare::campaign_reader::check_distinct;
 use crate::compare::force_errors::held_out_forces;
 use crate::data_quality::{Finding, scan_files};
 use crate::notes::{Note, collect};
@@ -45,8 +46,13 @@ pub fn fit_model(
 ) -> Result<CampaignFit> {
     collect(|notes| {
         // Files are scanned while others are read: recordings are often fewer than twice the cores.
-        let (campaign, scanned) =
-            rayon::join(|| read_campaign(folder, alignment), || scan_files(folder, |_| ()));
+        let steps = 2 * recording_folders(folder)?.len();
+        let bar = progress::progress_bar("reading and checking", steps);
+        let (campaign, scanned) = rayon::join(
+            || Campaign::read(folder, alignment, |_| bar.inc(1)),
+            || scan_files(folder, |_| bar.inc(1)),
+        );
+        bar.finish_and_clear();
         let campaign = campaign?;
         let findings = data_findings(scanned?, &campaign);
         let wrong_unit = findings.iter().find(|finding| finding.is_channel_unit()).cloned();
