@@ -37,7 +37,7 @@ pub fn residual(sensor: &SensorTable, field: [Field; 3], coordinates: [i16; 3]) 
 /// Horner's rule, in the unit of [`Field`]. The exporter ensures by [`max_sum`] that no sum exceeds 32 bits; with other
 /// tables sums wrap.
 fn polynomial(terms: &[i32; PARITY_TERMS], u: i16, v: i16) -> i32 {
-    // Rows of constant lengths: unrolled, they take half the instructions of a loop over the degree.
+    // Rows of constant lengths, which the compiler unrolls: fewer instructions than a loop over the degree.
     let rows: [i32; PARITY_DEGREE + 1] = [
         row::<1>(terms, v),
         row::<2>(terms, v),
