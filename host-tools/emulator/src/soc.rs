@@ -236,7 +236,7 @@ pub struct Soc {
     is_break_wire_open: bool,
     /// The trigger of the motor's timer reaches the converter.
     has_motor_trigger: bool,
-    /// Alternate functions of the six bridge pins, the break, the serial line, CAN, and both SPI devices.
+    /// Alternate functions of the six bridge pins, the break, the serial line, CAN, both SPI devices, and the sensor buses.
     functions: Functions,
 }
 
@@ -247,6 +247,8 @@ struct Functions {
     serial: [(Pin, u8); 2],
     can: [(Pin, u8); 2],
     spi: [[(Pin, u8); 3]; 2],
+    /// Of each I2C peripheral at each bus, where it can be there.
+    i2c: [[Option<[u8; 2]>; 2]; 3],
 }
 
 impl Functions {
@@ -262,6 +264,9 @@ impl Functions {
             with(name, ["SCK", "MOSI", "MISO"], [clock, out, into])
         };
         let [break_input] = with("TIM1", ["BKIN"], [wiring.gate_fault]);
+        let i2c = ["I2C1", "I2C2", "I2C3"].map(|name| {
+            wiring.sensor_buses.map(|pins| Wiring::functions(name, ["SCL", "SDA"], pins))
+        });
         Self {
             bridges: with(
                 "TIM1",
@@ -272,6 +277,7 @@ impl Functions {
             serial: with("USART2", ["RX", "TX"], wiring.serial),
             can: with("FDCAN1", ["RX", "TX"], wiring.can),
             spi: [spi("SPI1", wiring.encoder), spi("SPI3", wiring.inertial)],
+            i2c,
         }
     }
 }
@@ -1205,12 +1211,10 @@ impl Soc {
 
     /// Which sensor bus each I2C peripheral is at, and the level at the break input.
     fn update_connections(&mut self) {
-        const NAMES: [&str; 3] = ["I2C1", "I2C2", "I2C3"];
         let gpio = &self.gpio;
         let buses = self.options.wiring.sensor_buses;
-        self.buses = NAMES.map(|name| {
-            buses.iter().position(|pins| {
-                let functions = Wiring::functions(name, ["SCL", "SDA"], *pins);
+        self.buses = self.functions.i2c.map(|functions| {
+            buses.iter().zip(functions).position(|(pins, functions)| {
                 functions.is_some_and(|functions| {
                     pins.iter().zip(functions).all(|(pin, function)| {
                         let port = &gpio[pin.port];
