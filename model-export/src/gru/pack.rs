@@ -223,18 +223,20 @@ fn unit_pair<const INPUTS: usize, const HIDDEN: usize>(
 ) -> UnitPair<INPUTS, HIDDEN> {
     const NONE: Products = [[[0; 2]; GATES]; 2];
     let units = [2 * pair, 2 * pair + 1];
-    let mut packed = UnitPair {
-        bias: units.map(|unit| {
-            [0, 1, 2].map(|gate| row(layer, gate, unit).map_or(0, |row| layer.bias[row]))
-        }),
-        input: [NONE; INPUTS],
-        state_bias: units.map(|unit| layer.candidate_bias.get(unit).copied().unwrap_or(0)),
-        state: [NONE; HIDDEN],
-    };
+    let (bias, state_bias) = biases(layer, units);
+    let mut packed = UnitPair { bias, input: [NONE; INPUTS], state_bias, state: [NONE; HIDDEN] };
     // Not generic: compiled once for all sizes.
     set_products(&mut packed.input, layer, units, &layer.input_weights, layer.inputs);
     set_products(&mut packed.state, layer, units, &layer.state_weights, layer.units);
     packed
+}
+
+/// Biases of the gates, and of the candidate's recurrent part.
+fn biases(layer: &LayerRows, units: [usize; 2]) -> ([[i32; GATES]; 2], [i32; 2]) {
+    let gates =
+        |unit| array::from_fn(|gate| row(layer, gate, unit).map_or(0, |row| layer.bias[row]));
+    let candidate = |unit: usize| layer.candidate_bias.get(unit).copied().unwrap_or(0);
+    (units.map(gates), units.map(candidate))
 }
 
 /// Row of a gate; `None` for surplus units.
@@ -301,13 +303,21 @@ impl<const INPUTS: usize, const HIDDEN: usize, const SENSOR_COUNT: usize> Packed
     }
 
     fn source(&self) -> String {
-        // The debug form is Rust's own notation except for the names of the enums.
-        format!("{self:?}")
-            .replace("target: ", "target: Target::")
-            .replace("source: ", "source: InputSource::")
-            .replace("UnitPair {", "\nUnitPair {")
-            .replace("Head {", "\nHead {")
+        rust_source(self)
     }
+}
+
+/// The debug form is Rust's own notation except for the names of the enums.
+fn rust_source(network: &dyn Debug) -> String {
+    format!("{network:?}")
+        .replace("target: ", "target: Target::")
+        .replace("source: ", "source: InputSource::")
+        .replace("UnitPair {", "\nUnitPair {")
+        .replace("Head {", "\nHead {")
+}
+
+fn reader(value: &dyn Fn(InputSource) -> i32) -> impl Fn(InputSource) -> Option<i32> {
+    move |source| Some(value(source))
 }
 
 impl<const INPUTS: usize, const HIDDEN: usize, const SENSOR_COUNT: usize> NetworkRun
@@ -324,11 +334,12 @@ impl<const INPUTS: usize, const HIDDEN: usize, const SENSOR_COUNT: usize> Networ
 
     fn step(&mut self, value: &dyn Fn(InputSource) -> i32) -> Option<Vec<Prediction>> {
         let (network, run) = self;
-        run.step(network, |source| Some(value(source))).map(Vec::from)
+        run.step(network, reader(value)).map(Vec::from)
     }
 
     fn states(&self) -> [Vec<i32>; 2] {
-        self.1.state.full.map(|layer| layer.as_flattened().to_vec())
+        let [first, second] = &self.1.state.full;
+        [first.as_flattened().to_vec(), second.as_flattened().to_vec()]
     }
 
     fn outputs(&self) -> Vec<i32> {

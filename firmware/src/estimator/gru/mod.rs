@@ -14,7 +14,7 @@ use crate::estimator::{Estimate, NetworkBank, Validity};
 use crate::fixed_point::{Force, mul_q, saturate};
 use crate::model::calibration::Networks;
 use crate::model::formats::{
-    FORCE_BITS, GruState, Guard, InputSource, Network, Prediction, Target,
+    FORCE_BITS, GruState, Guard, Input, InputSource, Network, OUTPUTS, Pair, Prediction, Target,
 };
 use crate::model::kernel::gru;
 use crate::sensors::hall::SENSORS;
@@ -52,15 +52,7 @@ impl<const INPUTS: usize, const HIDDEN: usize, const HEADS: usize>
         network: &Network<INPUTS, HIDDEN, HEADS>,
         value: impl Fn(InputSource) -> Option<i32>,
     ) -> Option<[Prediction; HEADS]> {
-        let mut is_complete = true;
-        for (scaled, pair) in self.state.input.iter_mut().zip(&network.inputs) {
-            *scaled = pair.map(|input| {
-                let value = value(input.source);
-                is_complete &= value.is_some();
-                scale::input(input, value.unwrap_or_default())
-            });
-        }
-        if !is_complete {
+        if !read_inputs(&mut self.state.input, &network.inputs, value) {
             *self = Self::RESET;
             return None;
         }
@@ -68,10 +60,37 @@ impl<const INPUTS: usize, const HIDDEN: usize, const HEADS: usize>
         gru::finish(&network.weights, &mut self.state);
         self.is_prepared = false;
         self.steps = self.steps.saturating_add(1);
-        let predictions =
-            self.state.outputs.map(|outputs| scale::prediction(network.force, outputs));
+        let predictions = predictions(network.force, &self.state.outputs);
         (self.steps > network.warm_up).then_some(predictions)
     }
+}
+
+/// Reads and scales the inputs; false if one is missing.
+///
+/// Like [`predictions`] and [`reader`] without the sizes of the network in its type: a host compiles it once for all of them.
+#[cfg_attr(target_os = "none", inline(always))]
+fn read_inputs(
+    scaled: &mut [Pair],
+    inputs: &[[Input; 2]],
+    value: impl Fn(InputSource) -> Option<i32>,
+) -> bool {
+    let mut is_complete = true;
+    for (scaled, pair) in scaled.iter_mut().zip(inputs) {
+        *scaled = pair.map(|input| {
+            let value = value(input.source);
+            is_complete &= value.is_some();
+            scale::input(input, value.unwrap_or_default())
+        });
+    }
+    is_complete
+}
+
+#[cfg_attr(target_os = "none", inline(always))]
+fn predictions<const HEADS: usize>(
+    force: [i32; 2],
+    outputs: &[[i32; OUTPUTS]; HEADS],
+) -> [Prediction; HEADS] {
+    outputs.map(|outputs| scale::prediction(force, outputs))
 }
 
 /// At most `NETWORKS` networks of one size with their states.
@@ -123,7 +142,7 @@ impl<const INPUTS: usize, const HIDDEN: usize, const HEADS: usize, const NETWORK
         for ((network, run), ahead) in self.networks.iter().zip(&mut self.runs).zip(&mut self.ahead)
         {
             *ahead = if network.depends_only_on(sensors) {
-                Some(run.step(network, |source| value(estimates, source)))
+                Some(run.step(network, reader(estimates)))
             } else {
                 run.prepare(network);
                 None
@@ -193,7 +212,7 @@ pub fn apply<const INPUTS: usize, const HIDDEN: usize, const HEADS: usize>(
 ) {
     // All of them before the first merge: inputs are those of the ideal model, not of other networks.
     for ((network, run), ahead) in networks.iter().zip(runs).zip(&mut *ahead) {
-        ahead.get_or_insert_with(|| run.step(network, |source| value(estimates, source)));
+        ahead.get_or_insert_with(|| run.step(network, reader(estimates)));
     }
     for (network, ahead) in networks.iter().zip(ahead) {
         let Some(predictions) = ahead.take().flatten() else {
@@ -206,6 +225,10 @@ pub fn apply<const INPUTS: usize, const HIDDEN: usize, const HEADS: usize>(
             }
         }
     }
+}
+
+fn reader(estimates: &[Estimate; SENSORS]) -> impl Fn(InputSource) -> Option<i32> {
+    move |source| value(estimates, source)
 }
 
 /// Value of an input; `None` if its sensor is missing.
