@@ -2,7 +2,9 @@
 
 use std::ops::Range;
 
-use realfft::RealFftPlanner;
+use rustfft::algorithm::Radix4;
+use rustfft::num_complex::Complex;
+use rustfft::{Fft, FftDirection};
 use serde::Serialize;
 
 use crate::compare::pipeline::correlation_s;
@@ -93,7 +95,7 @@ fn recordings(table: &ResidualTable) -> Vec<Range<usize>> {
 }
 
 /// Frequency of the largest value of the periodogram, summed over channels and recordings; none if it does not dominate.
-/// Each recording is averaged to [`SPECTRUM_HZ`], and padded to the length of the longest.
+/// Each recording is averaged to [`SPECTRUM_HZ`], and padded to a power of two that holds the longest.
 fn peak_hz(columns: &[ResidualTable]) -> Option<f64> {
     let first = columns.first()?;
     let parts: Vec<Range<usize>> =
@@ -106,31 +108,33 @@ fn peak_hz(columns: &[ResidualTable]) -> Option<f64> {
     if length < MIN_ROWS || !rate_hz.is_finite() {
         return None;
     }
-    let transform = RealFftPlanner::<f64>::new().plan_fft_forward(length);
-    let mut power = vec![0.0; length / 2 + 1];
+    let padded = length.next_power_of_two();
+    let transform = Radix4::new(padded, FftDirection::Forward);
+    let mut power = vec![0.0; padded / 2 + 1];
     for table in columns {
         for (rows, axis) in parts.iter().flat_map(|rows| [0, 1, 2].map(|axis| (rows.clone(), axis)))
         {
             let values = table.residual_g.get(rows)?;
-            let mut signal: Vec<f64> = values
+            let signal: Vec<f64> = values
                 .chunks_exact(pooled)
                 .take(length)
                 .map(|chunk| chunk.iter().map(|left| left[axis]).sum::<f64>() / pooled as f64)
                 .collect();
             let mean = signal.iter().sum::<f64>() / signal.len().max(1) as f64;
-            signal.iter_mut().for_each(|value| *value -= mean);
-            signal.resize(length, 0.0);
-            let mut spectrum = transform.make_output_vec();
-            transform.process(&mut signal, &mut spectrum).ok()?;
+            let mut spectrum: Vec<Complex<f64>> =
+                signal.iter().map(|value| Complex::new(value - mean, 0.0)).collect();
+            spectrum.resize(padded, Complex::default());
+            transform.process(&mut spectrum);
             power.iter_mut().zip(spectrum).for_each(|(sum, value)| *sum += value.norm_sqr());
         }
     }
-    // The lowest frequency is a drift.
-    let (bin, peak) = power.iter().enumerate().skip(2).max_by(|a, b| a.1.total_cmp(b.1))?;
+    // Less than two periods in the recording are a drift.
+    let lowest = (2 * padded).div_ceil(length);
+    let (bin, peak) = power.iter().enumerate().skip(lowest).max_by(|a, b| a.1.total_cmp(b.1))?;
     let mut sorted = power.clone();
     sorted.sort_by(f64::total_cmp);
     let median = sorted[sorted.len() / 2];
-    let hz = bin as f64 * rate_hz / (pooled * length) as f64;
+    let hz = bin as f64 * rate_hz / (pooled * padded) as f64;
     (*peak > MIN_PEAK * median).then_some(hz)
 }
 

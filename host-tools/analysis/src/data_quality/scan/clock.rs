@@ -4,7 +4,6 @@ use csv::ByteRecord;
 use model_export::recordings::csv_table::GAP_STEPS;
 use std::collections::VecDeque;
 use std::f64::consts::TAU;
-use std::hash::{DefaultHasher, Hash, Hasher};
 
 /// Window of the sort in rows: one second of the board, the largest disorder of a logger's buffers.
 pub const SORT_WINDOW: usize = 1000;
@@ -56,7 +55,8 @@ pub struct ClockScan {
     /// Longest gap: length in microseconds, line, and time before it.
     pub longest: (f64, u64, f64),
     last_us: f64,
-    recent: VecDeque<(f64, u64)>,
+    /// Time and cells of the last rows.
+    recent: VecDeque<(f64, Vec<u8>)>,
 }
 
 impl ClockScan {
@@ -84,7 +84,6 @@ impl ClockScan {
 
     /// Adds a row.
     pub fn tick(&mut self, line: u64, t_us: f64, record: &ByteRecord) -> TickOutcome {
-        let hash = hash(record);
         self.rows += 1;
         if self.rows == 1 {
             self.first_us = t_us;
@@ -97,12 +96,13 @@ impl ClockScan {
         let turn = if t_us > self.greatest_us {
             self.step_on(line, t_us)
         } else {
-            self.stay_behind(line, t_us, hash)
+            self.stay_behind(line, t_us, record.as_slice())
         };
-        if self.recent.len() == SORT_WINDOW {
-            self.recent.pop_front();
-        }
-        self.recent.push_back((t_us, hash));
+        let oldest = if self.recent.len() == SORT_WINDOW { self.recent.pop_front() } else { None };
+        let mut cells = oldest.map_or_else(Vec::new, |(_, cells)| cells);
+        cells.clear();
+        cells.extend_from_slice(record.as_slice());
+        self.recent.push_back((t_us, cells));
         turn
     }
 
@@ -122,9 +122,9 @@ impl ClockScan {
         TickOutcome::On { regular: step < 1.5 * self.period_us }
     }
 
-    fn stay_behind(&mut self, line: u64, t_us: f64, hash: u64) -> TickOutcome {
+    fn stay_behind(&mut self, line: u64, t_us: f64, cells: &[u8]) -> TickOutcome {
         let mut same_time = self.recent.iter().filter(|(time, _)| *time == t_us);
-        let copy = same_time.clone().any(|(_, other)| *other == hash);
+        let copy = same_time.clone().any(|(_, other)| other == cells);
         let clash = same_time.next().is_some() && !copy;
         let behind = t_us < self.greatest_us;
         let within = self.recent.len() < SORT_WINDOW
@@ -151,13 +151,6 @@ impl ClockScan {
     pub fn span_s(&self) -> f64 {
         1e-6 * (self.greatest_us - self.first_us)
     }
-}
-
-/// Hash of all cells of a row.
-pub fn hash(record: &ByteRecord) -> u64 {
-    let mut hasher = DefaultHasher::new();
-    record.as_slice().hash(&mut hasher);
-    hasher.finish()
 }
 
 /// Rows per speed estimate.

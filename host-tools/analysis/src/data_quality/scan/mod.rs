@@ -18,7 +18,6 @@ use model_export::recordings::csv_table::{
     CsvReader, PERIOD_ROWS, column_names, number, table_path,
 };
 use model_export::recordings::description::RecordingDescription;
-use realfft::RealFftPlanner;
 use std::path::{Path, PathBuf};
 
 /// Scan of one recording.
@@ -93,6 +92,8 @@ pub struct TableScan {
     /// Subsample of the norm of the acceleration, in its own unit.
     pub acceleration: Subsample,
     time_column: usize,
+    /// Numbers of the row, reused.
+    values: Vec<f64>,
     angle: Option<usize>,
     accelerations: Vec<usize>,
 }
@@ -136,6 +137,7 @@ impl TableScan {
             acceleration: Subsample::default(),
             accelerations,
             time_column,
+            values: Vec::new(),
             angle: angle.first().copied(),
         };
         scan.plan_spectra();
@@ -151,17 +153,19 @@ impl TableScan {
     }
 
     fn plan_spectra(&mut self) {
-        let mut planner = RealFftPlanner::new();
-        let rate_hz = 1e6 / self.clock.period_us;
+        let spectrum = Spectrum::new(1e6 / self.clock.period_us);
         for column in &mut self.columns {
             if column.quantity.is_field() || column.quantity == Quantity::Force {
-                column.with_spectrum(Spectrum::new(rate_hz, &mut planner));
+                column.with_spectrum(spectrum.clone());
             }
         }
     }
 
     fn push(&mut self, line: u64, record: &ByteRecord) {
-        let cell = |index: usize| record.get(index).map_or(f64::NAN, finite);
+        self.values.clear();
+        self.values.extend(record.iter().map(finite));
+        let values = &self.values;
+        let cell = |index: usize| values.get(index).copied().unwrap_or(f64::NAN);
         let t_us = cell(self.time_column);
         if t_us.is_nan() {
             return;
@@ -173,8 +177,7 @@ impl TableScan {
             column.push(cell(column.index), t_us, line, regular);
         }
         for repeats in &mut self.repeats {
-            let fields: Vec<f64> = repeats.indices.iter().map(|&index| cell(index)).collect();
-            repeats.push(&fields, line);
+            repeats.push(cell, line);
         }
         if self.accelerations.len() == 3 {
             let squares = self.accelerations.iter().map(|&index| cell(index).powi(2));
@@ -303,25 +306,26 @@ impl Repeats {
         Self { sensor, indices: vec![index], ..Self::default() }
     }
 
-    /// Adds the fields of a row.
-    pub fn push(&mut self, fields: &[f64], line: u64) {
-        if self.last.len() != fields.len() {
-            self.last = fields.to_vec();
-            self.single = vec![0; fields.len()];
+    /// Adds the fields of a row; `value` is that of a column.
+    pub fn push(&mut self, value: impl Fn(usize) -> f64, line: u64) {
+        let fields = self.indices.iter().map(|&index| value(index));
+        if self.last.len() != self.indices.len() {
+            self.last = fields.collect();
+            self.single = vec![0; self.last.len()];
             return;
         }
         self.rows += 1;
-        if self.last == fields {
+        if self.last.iter().copied().eq(fields.clone()) {
             if self.repeated == 0 {
                 self.line = line;
             }
             self.repeated += 1;
             return;
         }
-        for ((count, last), now) in self.single.iter_mut().zip(&self.last).zip(fields) {
-            *count += u64::from(last == now);
+        for ((count, last), now) in self.single.iter_mut().zip(&mut self.last).zip(fields) {
+            *count += u64::from(*last == now);
+            *last = now;
         }
-        self.last.copy_from_slice(fields);
     }
 
     /// Share of rows in which no axis changed.

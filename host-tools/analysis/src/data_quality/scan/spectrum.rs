@@ -2,7 +2,9 @@
 
 use std::sync::Arc;
 
-use realfft::{RealFftPlanner, RealToComplex};
+use rustfft::algorithm::Radix4;
+use rustfft::num_complex::Complex;
+use rustfft::{Fft, FftDirection};
 
 /// Segment length in seconds: a resolution of a quarter of a hertz, with several segments in a
 /// recording of some seconds.
@@ -43,7 +45,8 @@ pub struct SpectralLine {
 /// Averaged periodogram of one column.
 #[derive(Clone)]
 pub struct Spectrum {
-    plan: Arc<dyn RealToComplex<f64>>,
+    // Of one algorithm: a planner's many would be most of what the compiler has to do for this crate.
+    transform: Arc<Radix4<f64>>,
     window: Arc<Vec<f64>>,
     rate_hz: f64,
     buffer: Vec<f64>,
@@ -52,8 +55,8 @@ pub struct Spectrum {
 }
 
 impl Spectrum {
-    /// For rows at `rate_hz`; `None` where the rate is unknown.
-    pub fn new(rate_hz: f64, planner: &mut RealFftPlanner<f64>) -> Option<Self> {
+    /// For rows at `rate_hz`; `None` where the rate is unknown. A clone shares the transform and the window.
+    pub fn new(rate_hz: f64) -> Option<Self> {
         if !rate_hz.is_finite() || rate_hz <= 4.0 * LOWEST_HZ {
             return None;
         }
@@ -61,7 +64,7 @@ impl Spectrum {
         let turn = std::f64::consts::TAU / length as f64;
         let hann = |i: usize| 0.5 - 0.5 * (turn * i as f64).cos();
         Some(Self {
-            plan: planner.plan_fft_forward(length),
+            transform: Arc::new(Radix4::new(length, FftDirection::Forward)),
             window: Arc::new((0..length).map(hann).collect()),
             rate_hz,
             buffer: Vec::with_capacity(length),
@@ -87,14 +90,13 @@ impl Spectrum {
     fn add_segment(&mut self) {
         let mean = self.buffer.iter().sum::<f64>() / self.buffer.len() as f64;
         let weighted = self.buffer.iter().zip(self.window.iter());
-        let mut input: Vec<f64> = weighted.map(|(x, weight)| (x - mean) * weight).collect();
-        let mut output = self.plan.make_output_vec();
-        if self.plan.process(&mut input, &mut output).is_ok() {
-            for (sum, value) in self.power.iter_mut().zip(&output) {
-                *sum += value.norm_sqr();
-            }
-            self.segments += 1;
+        let mut values: Vec<Complex<f64>> =
+            weighted.map(|(x, weight)| Complex::new((x - mean) * weight, 0.0)).collect();
+        self.transform.process(&mut values);
+        for (sum, value) in self.power.iter_mut().zip(&values) {
+            *sum += value.norm_sqr();
         }
+        self.segments += 1;
     }
 
     fn bin_hz(&self) -> f64 {
@@ -212,7 +214,7 @@ mod tests {
     fn spectrum(seed: u64, amplitude: f64) -> Spectrum {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let noise = Normal::new(0.0, 0.35).unwrap();
-        let mut spectrum = Spectrum::new(1000.0, &mut RealFftPlanner::new()).unwrap();
+        let mut spectrum = Spectrum::new(1000.0).unwrap();
         for row in 0..30_000 {
             let t = f64::from(row) * 1e-3;
             let load = 100.0 * (TAU * 0.7 * t).sin();
