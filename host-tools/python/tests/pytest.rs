@@ -38,7 +38,6 @@ fn main() {
             .args(arguments)
             .current_dir(folder.path())
             .env("PYTHONPATH", folder.path())
-            .env("PYTHONDONTWRITEBYTECODE", "1")
             .status();
         assert!(status.unwrap().success(), "the tests of the Python package failed");
     };
