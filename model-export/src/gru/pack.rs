@@ -316,6 +316,7 @@ fn rust_source(network: &dyn Debug) -> String {
         .replace("Head {", "\nHead {")
 }
 
+/// As a function, because a closure where it is called would have another type for each size.
 fn reader(value: &dyn Fn(InputSource) -> i32) -> impl Fn(InputSource) -> Option<i32> {
     move |source| Some(value(source))
 }

@@ -1,5 +1,4 @@
-//! The modules of `model-export` that read files and formulas: without the rest, which no input reaches, the build with the
-//! instructions of the coverage is shorter.
+//! The modules of `model-export` that read files and formulas, without the rest, which no input reaches.
 #![allow(dead_code)]
 
 #[path = "../../../model-export/src/effects/mod.rs"]

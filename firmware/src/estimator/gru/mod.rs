@@ -67,7 +67,7 @@ impl<const INPUTS: usize, const HIDDEN: usize, const HEADS: usize>
 
 /// Reads and scales the inputs; false if one is missing.
 ///
-/// Like [`predictions`] and [`reader`] without the sizes of the network in its type: a host compiles it once for all of them.
+/// Like [`predictions`] and [`reader`] without the sizes of the layers in its type, of which a host compiles all.
 #[cfg_attr(target_os = "none", inline(always))]
 fn read_inputs(
     scaled: &mut [Pair],

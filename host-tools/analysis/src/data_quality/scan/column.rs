@@ -229,7 +229,6 @@ pub const FEW: usize = 1000;
 #[derive(Clone, Debug, Default)]
 pub struct StepGrid {
     distinct: HashSet<u64>,
-    last: Option<u64>,
     full: bool,
     first: Option<f64>,
     divisor: u64,
@@ -248,10 +247,9 @@ impl StepGrid {
             }
             Some(_) => {}
         }
-        // Adding zero maps -0 to 0.
-        let bits = (value + 0.0).to_bits();
-        if !self.full && self.last.replace(bits) != Some(bits) {
-            self.distinct.insert(bits);
+        if !self.full {
+            // Adding zero maps -0 to 0.
+            self.distinct.insert((value + 0.0).to_bits());
             self.full = self.distinct.len() > FEW;
         }
     }

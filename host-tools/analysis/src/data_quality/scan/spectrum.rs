@@ -45,7 +45,7 @@ pub struct SpectralLine {
 /// Averaged periodogram of one column.
 #[derive(Clone)]
 pub struct Spectrum {
-    // Of one algorithm: a planner's many would be most of what the compiler has to do for this crate.
+    // Of one algorithm: a planner's many were more than half of the code that the compiler got for the tests of this crate.
     transform: Arc<Radix4<f64>>,
     window: Arc<Vec<f64>>,
     rate_hz: f64,
