@@ -150,7 +150,7 @@ fn indistinguishable_effects_are_tied() {
         ("same-warm-up", "sensor_temperature", "field_drift"),
         ("single-sine", "hysteresis", "viscous_lag"),
     ] {
-        let line = format!("--programme {programme} --effect {simulated_effect}");
+        let line = format!("--programme {programme} --effect {simulated_effect} --sensors 2");
         let diagnosis = simulated(&line);
         for effect in [simulated_effect, other] {
             assert_eq!(verdict(&diagnosis, effect), "tied", "{programme}: {effect}");
