@@ -109,7 +109,7 @@ mod unix {
 
     fn profile() -> Result<(), Failed> {
         let dir = WorkDir::empty();
-        let image = path(Variant::Nominal)?;
+        let image = path(Variant::Clean)?;
         let measured = dir.json(&format!("emulate {image} --seconds 3 --speed max --json"));
         assert_eq!(measured["ended_by"], "seconds");
         assert!((number(&measured["virtual_s"]) - 3.0).abs() < 0.002, "{measured}");

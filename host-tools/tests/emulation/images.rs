@@ -17,7 +17,9 @@ use crate::workdir::WorkDir;
 pub enum Variant {
     /// The committed tables: a fit of the demo's campaign with its effect, and a network for each sensor.
     Default,
-    /// Another gripper, with every effect that the device compensates.
+    /// A plain fit of another gripper.
+    Clean,
+    /// The same with every effect that the device compensates.
     Effects,
     /// Two of four sensors, with effects and networks behind them.
     Friction,
@@ -25,17 +27,22 @@ pub enum Variant {
     Ripple,
     /// A plain fit with a network for each sensor.
     Networks,
-    /// The model alone, of the nominal design: it fits the fingertips of a simulated gripper.
+    /// The nominal design: what fits the fingertips of a simulated gripper.
     Nominal,
 }
 
+/// Number of variants.
+const VARIANTS: usize = Variant::Nominal as usize + 1;
+
 impl Variant {
+    /// Those that are fitted to a campaign.
     pub const ALL: [Self; 6] =
-        [Self::Default, Self::Nominal, Self::Effects, Self::Friction, Self::Ripple, Self::Networks];
+        [Self::Default, Self::Clean, Self::Effects, Self::Friction, Self::Ripple, Self::Networks];
 
     pub fn name(self) -> &'static str {
         match self {
             Self::Default => "default",
+            Self::Clean => "clean",
             Self::Effects => "effects",
             Self::Friction => "friction",
             Self::Ripple => "ripple",
@@ -48,7 +55,7 @@ impl Variant {
     pub fn campaign(self) -> PathBuf {
         data(match self {
             Self::Default | Self::Networks | Self::Nominal => "demo",
-            Self::Effects => "clean",
+            Self::Clean | Self::Effects => "clean",
             Self::Friction => "friction",
             Self::Ripple => "ripple",
         })
@@ -56,7 +63,7 @@ impl Variant {
 
     fn effects(self) -> Vec<&'static str> {
         match self {
-            Self::Default | Self::Networks | Self::Nominal => Vec::new(),
+            Self::Default | Self::Clean | Self::Networks | Self::Nominal => Vec::new(),
             Self::Effects => {
                 let compensated = CATALOGUE.into_iter().filter(|effect| {
                     matches!(effect.device, DeviceForm::Field(_) | DeviceForm::Force(_))
@@ -101,8 +108,7 @@ pub struct Made {
 /// This machine has no compiler for the chip, or the image does not build: what the tools print.
 pub fn get(variant: Variant) -> Result<Arc<Made>, String> {
     type Result<T> = std::result::Result<T, String>;
-    const COUNT: usize = Variant::ALL.len();
-    static MADE: [OnceLock<Result<Arc<Made>>>; COUNT] = [const { OnceLock::new() }; COUNT];
+    static MADE: [OnceLock<Result<Arc<Made>>>; VARIANTS] = [const { OnceLock::new() }; VARIANTS];
     MADE[variant as usize].get_or_init(|| make(variant).map(Arc::new)).clone()
 }
 

@@ -55,7 +55,7 @@ fn main() -> ExitCode {
     // The compiler has one thread for most of an image: the others are built while tests of the first ones run.
     if absent.is_none() && !arguments.list && arguments.filter.is_none() {
         std::thread::spawn(|| {
-            for variant in Variant::ALL {
+            for variant in [Variant::Nominal, Variant::Clean].into_iter().chain(Variant::ALL) {
                 let _ = images::get(variant);
             }
         });

@@ -31,7 +31,7 @@ pub fn trials(_: Effort) -> Vec<Trial> {
     let [fast, typical, slow] = CONDITIONS;
     let mut trials: Vec<_> =
         Variant::ALL.into_iter().map(|variant| of(variant, slow.0, slow.1)).collect();
-    trials.extend([fast, typical].map(|(name, conditions)| of(Variant::Default, name, conditions)));
+    trials.extend([fast, typical].map(|(name, conditions)| of(Variant::Clean, name, conditions)));
     trials
 }
 

@@ -34,7 +34,7 @@ pub fn trials() -> Vec<Trial> {
 }
 
 fn play(scenario: &Scenario) -> Result<(), Failed> {
-    let made = image(Variant::Nominal)?;
+    let made = image(Variant::Clean)?;
     let left_n = scenario.grip_n / 2.0;
     let right_n = scenario.right_n.unwrap_or(scenario.grip_n) / 2.0;
     let forces = [left_n, left_n, -right_n, -right_n].map(|newtons| [newtons, 0.0]);

@@ -109,7 +109,7 @@ fn with_networks() -> Result<(), Failed> {
 
 /// A damaged calibration is reported, and the previous one runs.
 fn damaged() -> Result<(), Failed> {
-    let made = images::get(Variant::Nominal)?;
+    let made = images::get(Variant::Clean)?;
     let mut cell = cell(40.0)?;
     cell.run(READY_S);
     for campaign in ["old", "new"] {
@@ -131,7 +131,7 @@ fn damaged() -> Result<(), Failed> {
 
 /// After a power cut at any moment of an upload the board starts with the old or the new calibration.
 fn power_cuts(leaves: Remains, count: u32) -> Result<(), Failed> {
-    let made = images::get(Variant::Nominal)?;
+    let made = images::get(Variant::Clean)?;
     let mut cell = cell(40.0)?;
     cell.run(READY_S);
     let [old, new] = ["old", "new"].map(|campaign| encoded(&made.built, &[], campaign));
