@@ -20,10 +20,12 @@ fn main() {}
 mod unix {
     use std::io::{BufRead, BufReader, Read, Write};
     use std::net::TcpStream;
+    use std::num::NonZeroUsize;
     use std::process::ExitCode;
     use std::sync::atomic::{AtomicBool, Ordering};
 
     use firmware::config::constants;
+    use firmware::system::faults::Fault;
     use libtest_mimic::{Arguments, Failed, Trial};
     use rustix::process::Signal;
     use serde_json::Value;
@@ -35,7 +37,10 @@ mod unix {
     use crate::workdir::{WorkDir, campaign, text};
 
     pub fn main() -> ExitCode {
-        let arguments = Arguments::from_args();
+        let mut arguments = Arguments::from_args();
+        // Most of them wait for the clock half of the time.
+        let cores = std::thread::available_parallelism().map_or(1, NonZeroUsize::get);
+        arguments.test_threads = arguments.test_threads.or(Some(2 * cores));
         let absent = if arguments.list { None } else { images::get(Variant::Default).err() };
         if let Some(reason) = &absent {
             println!("no image for the emulated chip, its tests are not run:\n{reason}");
@@ -43,16 +48,17 @@ mod unix {
                 return ExitCode::FAILURE;
             }
         }
+        // The longest first: they wait for the clock while others compute.
         let trials = [
-            Trial::test("a_profile_has_load_deadlines_and_stack", profile),
+            Trial::test("motor_and_screw_are_identified", identification),
+            Trial::test("the_tutorial_flashes_and_drives", tutorial),
+            Trial::test("grip_homes_and_holds_a_force_over_the_can_bus", grip),
+            Trial::test("the_workbench_uploads_a_calibration", workbench),
+            Trial::test("only_hosts_with_the_key_change_a_protected_gripper", keys),
             Trial::test("record_receives_every_tick_on_the_serial_line", record),
             Trial::test("a_socketcand_client_receives_heartbeats_until_ctrl_c", socketcand),
-            Trial::test("grip_homes_and_holds_a_force_over_the_can_bus", grip),
-            Trial::test("motor_and_screw_are_identified", identification),
-            Trial::test("only_hosts_with_the_key_change_a_protected_gripper", keys),
+            Trial::test("a_profile_has_load_deadlines_and_stack", profile),
             Trial::test("an_image_that_is_none_is_refused", refused),
-            Trial::test("the_tutorial_flashes_and_drives", tutorial),
-            Trial::test("the_workbench_uploads_a_calibration", workbench),
         ];
         let trials =
             trials.into_iter().map(|trial| trial.with_ignored_flag(absent.is_some())).collect();
@@ -70,6 +76,10 @@ mod unix {
         can: String,
     }
 
+    /// Half of real time: this machine may be busy with other tests, and keep a program waiting for longer than the
+    /// timeout of its commands (see [`Emulation::allow_delays`]).
+    const SLOW: &str = "--speed 0.5 --json";
+
     impl Emulation {
         fn start(dir: &WorkDir, image: &str, options: &str) -> Self {
             let mut running = Running::start(dir, &format!("emulate {image} {options}"));
@@ -86,6 +96,11 @@ mod unix {
             // Nothing may wait for a reader of the rest.
             std::thread::spawn(move || std::io::copy(&mut message, &mut std::io::stderr()));
             Self { running, serial, can }
+        }
+
+        /// Sets the longest timeout of commands that the gripper has: at half speed, a second.
+        fn allow_delays(&self, dir: &WorkDir) {
+            dir.json(&format!("parameter command_timeout 500 --port {} --json", self.serial));
         }
 
         /// Ends it with Ctrl-C; what it measured.
@@ -186,8 +201,9 @@ mod unix {
 
     fn grip() -> Result<(), Failed> {
         let dir = WorkDir::empty();
-        let options = "--opening 3 --object 40 --json";
-        let emulation = Emulation::start(&dir, &path(Variant::Nominal)?, options);
+        let options = format!("--opening 3 --object 40 {SLOW}");
+        let emulation = Emulation::start(&dir, &path(Variant::Nominal)?, &options);
+        emulation.allow_delays(&dir);
         let unhomed = dir.failure(&format!("grip --can {} --force 80", emulation.can));
         assert!(unhomed.contains("give --home"), "{unhomed}");
         let line = format!("grip --can {} --home --force 80 --seconds 2 --json", emulation.can);
@@ -237,7 +253,9 @@ mod unix {
             };
             if arguments[0] == "emulate" {
                 let line = arguments[1..].join(" ").replace("29536", "0");
-                emulation = Some(Emulation::start(&dir, &image, &format!("{line} --json")));
+                let started = Emulation::start(&dir, &image, &format!("{line} {SLOW}"));
+                started.allow_delays(&dir);
+                emulation = Some(started);
                 continue;
             }
             let can = emulation.as_ref().map_or("", |emulation| &emulation.can);
@@ -304,7 +322,8 @@ mod unix {
     fn identification() -> Result<(), Failed> {
         let dir = WorkDir::empty();
         let image = path(Variant::Nominal)?;
-        let emulation = Emulation::start(&dir, &image, "--opening 3 --object 40 --json");
+        let emulation = Emulation::start(&dir, &image, &format!("--opening 3 --object 40 {SLOW}"));
+        emulation.allow_delays(&dir);
         let port = format!("--port {}", emulation.serial);
         // The object is between the fingers once they are open.
         dir.json(&format!("grasp {port} --home --position 50 --json"));
@@ -341,7 +360,8 @@ mod unix {
             assert!(message.contains(reason), "{line}: {message}");
         }
         is_clean(&emulation.end());
-        let emulation = Emulation::start(&dir, &image, "--opening 50 --json");
+        let emulation = Emulation::start(&dir, &image, &format!("--opening 50 {SLOW}"));
+        emulation.allow_delays(&dir);
         let message = dir.failure(&format!("identify screw --port {}", emulation.serial));
         assert!(message.contains("nothing was gripped"), "{message}");
         is_clean(&emulation.end());
@@ -373,7 +393,12 @@ mod unix {
         dir.json(&format!("key write other.txt {port} --key key.txt --json"));
         dir.json(&format!("key erase {port} --key other.txt --json"));
         assert_eq!(dir.json(&format!("board {port} --json"))["unprotected"], true);
-        is_clean(&emulation.end());
+        let mut measured = emulation.end();
+        // On a slow machine the requests that it refuses come often enough, in its time, to be reported.
+        if let Some(faults) = measured["faults"].as_array_mut() {
+            faults.retain(|fault| fault["code"] != Fault::StrangeFrames as u16);
+        }
+        is_clean(&measured);
         Ok(())
     }
 

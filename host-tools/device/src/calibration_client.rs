@@ -24,8 +24,8 @@ const PATIENCE: Duration = Duration::from_millis(500);
 const TIMES: u32 = 6;
 /// The gripper erases two pages and verifies all bytes in this time.
 const SLOW_PATIENCE: Duration = Duration::from_secs(2);
-/// Timeout of a measurement of motor or screw.
-const IDENTIFICATION: Duration = Duration::from_secs(15);
+/// Timeout of a measurement of motor or screw, with a margin for slow emulations.
+const IDENTIFICATION: Duration = Duration::from_secs(60);
 /// Time without an acknowledgement after which chunks are repeated.
 const REPEAT: Duration = Duration::from_millis(100);
 /// Repetitions without progress until the upload is given up.

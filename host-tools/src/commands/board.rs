@@ -32,6 +32,8 @@ pub struct Args {
 
 /// Time in which the gripper sends the forces of all sensors.
 const FORCES: Duration = Duration::from_millis(300);
+/// Limit of the wait for a heartbeat, with a margin for slow emulations.
+const HEARTBEAT: Duration = Duration::from_secs(3);
 
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
@@ -103,7 +105,7 @@ fn key_text(state: &GripperState) -> &'static str {
 fn observe(source: &mut dyn Source) -> Result<GripperState> {
     let mut state = GripperState::default();
     let begun = Instant::now();
-    while begun.elapsed() < FORCES {
+    while begun.elapsed() < if state.heartbeat.is_some() { FORCES } else { HEARTBEAT } {
         let mut packets = Vec::new();
         if !source.receive(&mut packets)? {
             break;
