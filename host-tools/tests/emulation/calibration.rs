@@ -81,9 +81,10 @@ fn calibrates(effect: &str) -> Result<(), Failed> {
         scatter: 1.0,
         effects: vec![effect.parse().map_err(|error| format!("{error:#}"))?],
         recordings: 3,
-        seconds: 9.0,
+        seconds: 6.0,
     };
-    let evaluation = BenchSetup { excitation_seed: 2, recordings: 1, ..setup.clone() };
+    let evaluation =
+        BenchSetup { excitation_seed: 2, recordings: 1, seconds: 5.0, ..setup.clone() };
     let run = || -> Result<()> {
         let dir = WorkDir::empty();
         let folder = dir.0.path();
