@@ -93,8 +93,8 @@ def panels(opened):
         plots = page.locator(f"{panel} svg[role=img]")
         shapes = plots.first.locator(SHAPES).count() if plots.count() else 0
         opened.check(shapes > 3, f"{panel} draws nothing")
-    silent = page.locator("svg[role=img]").evaluate_all("plots => plots.filter(plot => !plot.ariaLabel).length")
-    opened.check(not silent, f"{silent} plots without words")
+    unlabelled = page.locator("svg[role=img]").evaluate_all("plots => plots.filter(plot => !plot.ariaLabel).length")
+    opened.check(not unlabelled, f"{unlabelled} plots without a label")
     wide = page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
     opened.check(wide <= 0, f"the page is {wide} pixels too wide")
 
