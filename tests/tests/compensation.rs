@@ -9,8 +9,8 @@ use firmware::config::constants;
 use firmware::estimator::estimate;
 use firmware::sensors::hall::HallReading;
 use model_export::effects::{
-    CATALOGUE, DeviceForm, EffectTerm, ExcitationSeries, ForceForm, ParameterKind, REFERENCE_C,
-    StateSeries, find,
+    CATALOGUE, DeviceForm, EffectTerm, ExcitationSeries, FinalState, ForceForm, ParameterKind,
+    REFERENCE_C, StateSeries, find,
 };
 use model_export::inverse::compensation::OwnedCompensation;
 use model_export::inverse::model_selection::{SelectedModels, select_models};
@@ -131,7 +131,7 @@ fn chosen(rest: &StaticModel) -> SelectedModels {
 /// RMS error of both forces in newtons, with and without compensation.
 fn errors(id: &str) -> (f64, f64) {
     let effects = [effect_with_values(id)];
-    let rest = StaticModel::new(nominal(), &effects, 1);
+    let rest = StaticModel::new(nominal(), &effects, 1, FinalState::ENDED);
     let compensation =
         OwnedCompensation::build(0, &rest, &effects, GAUSS_PER_LSB).unwrap().unwrap();
     let chosen = chosen(&rest);
@@ -188,7 +188,7 @@ fn the_device_compensates_each_simulated_effect() {
 #[test]
 fn an_effect_without_its_input_is_skipped_and_flagged() {
     let effects = [effect_with_values("neighbour_magnet"), effect_with_values("fingertip_mass")];
-    let rest = StaticModel::new(nominal(), &effects, 1);
+    let rest = StaticModel::new(nominal(), &effects, 1, FinalState::ENDED);
     let own = OwnedCompensation::build(0, &rest, &effects, GAUSS_PER_LSB).unwrap().unwrap();
     let views = [own.view()];
     let mut chosen = chosen(&rest);

@@ -73,7 +73,12 @@ impl SensorChannels {
 
     /// Reading in a row, through the bytes on the sensor's bus.
     pub fn reading(&self, row: &RawRow, gauss_per_lsb: f64) -> HallReading {
-        let field = self.field_g(row).map(|gauss| field_counts(gauss, gauss_per_lsb));
+        self.reading_of(self.field_g(row), row, gauss_per_lsb)
+    }
+
+    /// Reading of another field in gauss in a row.
+    pub fn reading_of(&self, field_g: [f64; 3], row: &RawRow, gauss_per_lsb: f64) -> HallReading {
+        let field = field_g.map(|gauss| field_counts(gauss, gauss_per_lsb));
         let temperature = self.temperature(row);
         a31301::decode(a31301::encode(HallReading { field, temperature }))
     }

@@ -6,8 +6,8 @@ use std::path::Path;
 use std::process::{Command, Output};
 
 use model_export::effects::{
-    CATALOGUE, DeviceForm, Effect, EffectStage, EffectTerm, ParameterKind, Signature, Simulation,
-    find,
+    CATALOGUE, DeviceForm, Effect, EffectStage, EffectTerm, FinalState, ParameterKind, Signature,
+    Simulation, find,
 };
 use model_export::inverse::compensation::OwnedCompensation;
 use model_export::inverse::static_model::StaticModel;
@@ -108,7 +108,7 @@ fn every_effect_is_compensated_or_has_a_reason() {
     for effect in CATALOGUE {
         let term = EffectTerm::Catalogue(effect);
         let terms = [(term.clone(), typical_values(&term))];
-        let model = StaticModel::new(nominal, &terms, RECORDINGS);
+        let model = StaticModel::new(nominal, &terms, RECORDINGS, FinalState::ENDED);
         let built = OwnedCompensation::build(0, &model, &terms, GAUSS_PER_LSB)
             .unwrap_or_else(|error| panic!("{error}"));
         let count = built.map(|own| {

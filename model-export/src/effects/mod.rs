@@ -3,6 +3,7 @@
 //! - [`catalogue`]: all effects, one file each.
 //! - [`parameter`]: parameters of an effect and the definition of its magnitude.
 //! - [`excitation`]: forces and covariates of one sensor over a recording.
+//! - [`history`]: permanent changes of a gripper over a campaign.
 //! - [`operators`]: stop operator, low pass, delay, smoothing.
 //! - [`state_series`]: from forces to states, effect by effect.
 //! - [`expression`]: user-defined effects, written as formulas.
@@ -13,6 +14,7 @@
 pub mod catalogue;
 pub mod excitation;
 pub mod expression;
+pub mod history;
 pub mod operators;
 pub mod parameter;
 pub mod state_series;
@@ -24,6 +26,7 @@ use nalgebra::Vector3;
 pub use catalogue::{CATALOGUE, UnknownEffect, find};
 pub use excitation::ExcitationSeries;
 pub use expression::Expression;
+pub use history::{FinalState, GripperState};
 pub use parameter::{Aggregation, EffectParameter, MagnitudeSpec, ParameterKind, ParameterScope};
 pub use state_series::{EffectChain, EffectStage, MovedSeries, StateSeries};
 
@@ -39,7 +42,7 @@ pub enum DeviceForm {
     Force(ForceForm),
     /// By the tables of the ideal model: the effect depends only on the present forces.
     Tables,
-    /// A permanent change: the tables describe the gripper in its final state.
+    /// A permanent change: the tables describe the gripper in its state at the end of the campaign.
     Settled,
     /// Not needed on the device: an error of the test bench, with the remedy.
     Bench(&'static str),
@@ -57,6 +60,28 @@ impl DeviceForm {
             Self::Bench(_) => "bench",
             Self::Never(_) => "no",
         }
+    }
+}
+
+/// Origin of the error that an effect causes in the forces of a device.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ErrorOrigin {
+    /// The gripper, in a way that the device compensates.
+    Compensated,
+    /// A permanent change of the gripper: the tables hold the state of one time ([`FinalState`]).
+    History,
+    /// The reference sensor or its clock, not the device.
+    Reference,
+    /// A single event, which the device can detect but not compensate.
+    Event,
+    /// The gripper, in a way that no model of the device compensates.
+    Uncompensated,
+}
+
+impl ErrorOrigin {
+    /// True where no model of the device could remove the error.
+    pub fn is_irreducible(self) -> bool {
+        matches!(self, Self::Event | Self::Uncompensated)
     }
 }
 
@@ -279,6 +304,17 @@ impl EffectTerm {
         match self {
             Self::Catalogue(effect) => matches!(effect.device, DeviceForm::Tables),
             Self::Expression(formula) => formula.depends_on_forces_alone(),
+        }
+    }
+
+    /// Origin of the error that it causes.
+    pub fn error_origin(&self) -> ErrorOrigin {
+        match self.effect().map(|effect| effect.device) {
+            Some(DeviceForm::Settled) => ErrorOrigin::History,
+            Some(DeviceForm::Bench(_)) => ErrorOrigin::Reference,
+            Some(DeviceForm::Never(_)) if self.is_transient() => ErrorOrigin::Event,
+            Some(DeviceForm::Never(_)) => ErrorOrigin::Uncompensated,
+            _ => ErrorOrigin::Compensated,
         }
     }
 

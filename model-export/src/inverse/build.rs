@@ -106,7 +106,7 @@ pub fn build_model(
         let forward =
             forward.ok_or_else(|| BuildError::Polynomial { place: Location::file(place) })?;
         let effects = values(&model, &additions, number, recordings, place)?;
-        let rest = StaticModel::new(forward, &effects, recordings);
+        let rest = StaticModel::new(forward, &effects, recordings, model.table_state(number));
         compensations.extend(OwnedCompensation::build(
             number,
             &rest,

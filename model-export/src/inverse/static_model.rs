@@ -1,14 +1,11 @@
 //! Static forward model that the tables invert: effects that depend on present forces, and permanent changes in
-//! their final state. Everything else is neutral: reference temperature, no ambient field.
+//! their state at the end of the campaign. Everything else is neutral: reference temperature, no ambient field.
 
-use crate::effects::{DeviceForm, EffectTerm, ExcitationSeries, StateSeries};
+use crate::effects::{DeviceForm, EffectTerm, FinalState, StateSeries};
 use crate::physics::{ForwardModel, ModelFrames, PhysicalState};
 use firmware::fixed_point::Field;
 use firmware::model::formats::COORDINATE_LIMIT;
 use nalgebra::{Matrix3, Vector3};
-
-/// Load cycles and seconds after which transients have settled.
-const SETTLED: f64 = 1e9;
 
 /// Half the step of numerical derivatives, relative to the force range.
 const STEP: f64 = 0.002;
@@ -23,16 +20,23 @@ pub struct StaticModel {
     effects: Vec<(EffectTerm, Vec<f64>)>,
     /// Number of recordings of the campaign.
     recordings: usize,
+    at: FinalState,
 }
 
 impl StaticModel {
     /// Without any effect.
     pub fn without_effects(model: ForwardModel) -> Self {
-        Self { frames: model.frames(), model, effects: Vec::new(), recordings: 1 }
+        let (frames, at) = (model.frames(), FinalState::ENDED);
+        Self { frames, model, effects: Vec::new(), recordings: 1, at }
     }
 
-    /// With the static ones of `effects`, fitted to this many recordings.
-    pub fn new(model: ForwardModel, effects: &[(EffectTerm, Vec<f64>)], recordings: usize) -> Self {
+    /// With the static ones of `effects`, fitted to this many recordings that ended in the state `at`.
+    pub fn new(
+        model: ForwardModel,
+        effects: &[(EffectTerm, Vec<f64>)],
+        recordings: usize,
+        at: FinalState,
+    ) -> Self {
         let belongs = |effect: &EffectTerm| match effect {
             EffectTerm::Catalogue(effect) => {
                 matches!(effect.device, DeviceForm::Tables | DeviceForm::Settled)
@@ -42,7 +46,7 @@ impl StaticModel {
         let mut own: Vec<_> =
             effects.iter().filter(|(effect, _)| belongs(effect)).cloned().collect();
         own.sort_by_key(|(effect, _)| effect.stage());
-        Self { frames: model.frames(), model, effects: own, recordings }
+        Self { frames: model.frames(), model, effects: own, recordings, at }
     }
 
     /// Field in gauss under the forces `[Fx, Fz]` in N.
@@ -82,14 +86,7 @@ impl StaticModel {
         if self.effects.is_empty() {
             return PhysicalState::displaced(self.model.displacement(force_n));
         }
-        let track = ExcitationSeries {
-            time_s: vec![0.0],
-            force_n: vec![force_n],
-            recording: self.recordings.saturating_sub(1),
-            start_s: SETTLED,
-            cycles: vec![[SETTLED; 2]],
-            ..ExcitationSeries::default()
-        };
+        let track = self.at.row(force_n, self.recordings);
         let effects: Vec<(&EffectTerm, &[f64])> =
             self.effects.iter().map(|(effect, values)| (effect, values.as_slice())).collect();
         let states = StateSeries::of(&track, self.model.stiffness_n_per_mm, &effects).states;

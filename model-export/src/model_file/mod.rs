@@ -7,10 +7,11 @@ use std::path::Path;
 use firmware::config::constants::{self, FORCE_RANGE};
 use serde::{Deserialize, Serialize};
 
-use crate::effects::EffectTerm;
+use crate::effects::{EffectTerm, ErrorOrigin, FinalState};
 use crate::fit::campaign::FitSetup;
 use crate::fit::joint::{JointFit, SensorFit};
 use crate::fit::parameters::{self, PARAMETERS};
+use crate::fit::rows::SensorRows;
 use crate::fit::{CampaignFits, FitError, FitOptions};
 use crate::input::{
     self, MAX_EFFECTS, MAX_MAGNITUDE, MAX_SENSORS, check_plausible, plausible_range,
@@ -30,7 +31,7 @@ mod predictor;
 mod sensor;
 
 pub use effects::{EffectModel, SensorEffect};
-pub use predictor::{FieldPrediction, Predictor};
+pub use predictor::{FieldPrediction, Predictor, RowCorrection};
 pub use sensor::{
     FittedValue, HeldOutError, PolynomialTable, SensorModel, UnidentifiableCombination,
 };
@@ -126,7 +127,11 @@ impl ModelFile {
             sensor_scale: SensorScale::of(campaign),
             design: prepared.design.clone(),
             inverse: None,
-            sensors: fit.sensors.iter().enumerate().map(sensor).collect(),
+            sensors: with_final_states(
+                fit.sensors.iter().enumerate().map(sensor).collect(),
+                &prepared.rows,
+                effects,
+            ),
             effects: EffectModel::all_of(fit, effects, campaign.recordings.len()),
         }
     }
@@ -312,6 +317,12 @@ impl ModelFile {
             .map_err(|error| ErrorKind::Toml(error.to_string()).at(Location::file(path)))
     }
 
+    /// Time of the state that the tables of a sensor hold.
+    pub fn table_state(&self, number: u32) -> FinalState {
+        let sensor = self.sensors.iter().find(|sensor| sensor.number == number);
+        sensor.and_then(|sensor| sensor.final_state).unwrap_or(FinalState::ENDED)
+    }
+
     /// Standard deviation in gauss of a sensor's residual that no force explains; without it, the held-out
     /// RMS error of the axis.
     pub fn residual_sigma(&self, number: u32, axis: usize) -> f64 {
@@ -332,6 +343,22 @@ impl ModelFile {
         }
         Some(parameters::with_values(&nominal, &values))
     }
+}
+
+/// Sets the end of the campaign where an effect changes the gripper permanently.
+fn with_final_states(
+    mut sensors: Vec<SensorModel>,
+    rows: &[SensorRows],
+    effects: &[EffectTerm],
+) -> Vec<SensorModel> {
+    if effects.iter().any(|effect| effect.error_origin() == ErrorOrigin::History) {
+        for sensor in &mut sensors {
+            let own = rows.iter().find(|rows| rows.sensor == sensor.number);
+            let last = own.and_then(|rows| rows.parts.last());
+            sensor.final_state = last.and_then(|part| FinalState::of(&part.track));
+        }
+    }
+    sensors
 }
 
 /// Rounds to ten digits: far below any standard error, and independent of the processor's last bits.

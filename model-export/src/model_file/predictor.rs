@@ -3,7 +3,8 @@
 use nalgebra::Vector3;
 
 use crate::effects::{
-    EffectParameter, EffectTerm, ExcitationSeries, ParameterKind, ParameterScope, StateSeries,
+    EffectParameter, EffectTerm, ErrorOrigin, ExcitationSeries, GripperState, ParameterKind,
+    ParameterScope, StateSeries,
 };
 use crate::fit::base_model::{BaseModel, CylinderBase, PolynomialBase};
 use crate::fit::parameters::{self, PARAMETERS};
@@ -17,6 +18,10 @@ use crate::recordings::columns::Axis;
 pub struct Predictor {
     base: PredictorBase,
     effects: Vec<(EffectTerm, Vec<f64>)>,
+    /// Reading without a magnet in gauss.
+    bias_g: Vector3<f64>,
+    /// State of the device's tables.
+    tables: Option<GripperState>,
 }
 
 /// Base model of a [`Predictor`].
@@ -48,6 +53,8 @@ impl ModelFile {
         }
         effects.sort_by_key(|(effect, _)| effect.stage());
         let sensor = self.sensors.iter().find(|sensor| sensor.number == number)?;
+        let at = self.table_state(number).row([0.0; 2], recordings);
+        let tables = GripperState::over(&at, &effects).and_then(|states| states.first().copied());
         let base = match self.base {
             BaseName::Cylinder => {
                 let nominal = ForwardModel::nominal(self.design.as_ref()?);
@@ -72,7 +79,8 @@ impl ModelFile {
                 }
             }
         };
-        Some(Predictor { base, effects })
+        let bias_g = self.forward(number).map_or_else(Vector3::zeros, |forward| forward.bias_g);
+        Some(Predictor { base, effects, bias_g, tables })
     }
 }
 
@@ -102,7 +110,85 @@ impl EffectModel {
     }
 }
 
+/// What separates a recorded row from the conditions of the device's tables.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RowCorrection {
+    /// Error of the reference forces along x and z in newtons, to subtract.
+    pub reference_n: [f64; 2],
+    /// Gain and offset in gauss that convert the reading to the state of the tables.
+    pub reading: (f64, Vector3<f64>),
+    /// Factor along x and z that converts a force from the state of the tables to that of the row.
+    pub force: [f64; 2],
+    /// Field in gauss that no model of the device compensates, to subtract from the reading first.
+    pub irreducible_g: Vector3<f64>,
+}
+
 impl Predictor {
+    /// Corrections of the rows of an excitation; `None` where no effect has another origin than the gripper in the state of
+    /// its tables. With `new_recording`, a recording that the model was not fitted to: it has the state of the tables.
+    pub fn corrections(
+        &self,
+        excitation: &ExcitationSeries,
+        new_recording: bool,
+    ) -> Option<Vec<RowCorrection>> {
+        let has = |origin: fn(ErrorOrigin) -> bool| {
+            self.effects.iter().any(|(effect, _)| origin(effect.error_origin()))
+        };
+        if !has(|origin| origin != ErrorOrigin::Compensated) {
+            return None;
+        }
+        let reference = has(|origin| origin == ErrorOrigin::Reference)
+            .then(|| self.series(excitation, [1.0; 2], |origin| origin == ErrorOrigin::Reference));
+        let states = GripperState::over(excitation, &self.effects).filter(|_| !new_recording);
+        let irreducible =
+            self.irreducible_field(excitation).filter(|_| has(ErrorOrigin::is_irreducible));
+        let correction = |row: usize| {
+            let recorded = excitation.force_n.get(row).copied().unwrap_or_default();
+            let corrected = reference.as_ref().and_then(|series| series.force_n.get(row).copied());
+            let corrected = corrected.unwrap_or(recorded);
+            let state = states.as_ref().and_then(|states| states.get(row)).zip(self.tables);
+            let reading = state.map(|(state, tables)| state.conversion(&tables, self.bias_g));
+            let force = state.map(|(state, tables)| {
+                [0, 1].map(|axis| tables.compliance[axis] / state.compliance[axis])
+            });
+            RowCorrection {
+                reference_n: [0, 1].map(|axis| recorded[axis] - corrected[axis]),
+                reading: reading.unwrap_or((1.0, Vector3::zeros())),
+                force: force.unwrap_or([1.0; 2]),
+                irreducible_g: irreducible
+                    .as_ref()
+                    .and_then(|fields| fields.get(row).copied())
+                    .unwrap_or_default(),
+            }
+        };
+        Some((0..excitation.len()).map(correction).collect())
+    }
+
+    /// Field in gauss of the effects that no model of the device compensates.
+    fn irreducible_field(&self, excitation: &ExcitationSeries) -> Option<Vec<Vector3<f64>>> {
+        let PredictorBase::FromState { base, values } = &self.base else {
+            return None;
+        };
+        let stiffness = base.stiffness(values);
+        let field = |series: StateSeries| base.fields(values, &series.states);
+        let all = field(self.series(excitation, stiffness, |_| true));
+        let without = field(self.series(excitation, stiffness, |origin| !origin.is_irreducible()));
+        Some(all.iter().zip(&without).map(|(all, without)| all - without).collect())
+    }
+
+    /// The series with the effects of these origins.
+    fn series(
+        &self,
+        excitation: &ExcitationSeries,
+        stiffness: [f64; 2],
+        is_included: impl Fn(ErrorOrigin) -> bool,
+    ) -> StateSeries {
+        let effects = self.effects.iter().filter(|(effect, _)| is_included(effect.error_origin()));
+        let effects: Vec<(&EffectTerm, &[f64])> =
+            effects.map(|(effect, values)| (effect, values.as_slice())).collect();
+        StateSeries::of(excitation, stiffness, &effects)
+    }
+
     /// Field in gauss over an excitation; `None` if the base needs more forces than it contains.
     pub fn fields(&self, excitation: &ExcitationSeries) -> Option<Vec<Vector3<f64>>> {
         let PredictorBase::FromState { base, values } = &self.base else {
@@ -143,8 +229,6 @@ impl Predictor {
     }
 
     fn states(&self, excitation: &ExcitationSeries, stiffness: [f64; 2]) -> Vec<PhysicalState> {
-        let effects: Vec<(&EffectTerm, &[f64])> =
-            self.effects.iter().map(|(effect, values)| (effect, values.as_slice())).collect();
-        StateSeries::of(excitation, stiffness, &effects).states
+        self.series(excitation, stiffness, |_| true).states
     }
 }

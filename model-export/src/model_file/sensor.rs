@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 
+use crate::effects::FinalState;
 use crate::fit::AxisScore;
 use crate::fit::joint::SensorFit;
 use crate::fit::polynomial::{Polynomial, PolynomialFit};
@@ -32,6 +33,9 @@ pub struct SensorModel {
     /// With the polynomial base: its coefficients.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub polynomial: Option<PolynomialTable>,
+    /// With an effect that changes the gripper permanently: the end of the campaign.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub final_state: Option<FinalState>,
 }
 
 /// Held-out error of one axis.
@@ -116,6 +120,7 @@ impl SensorModel {
                 .collect(),
             unidentifiable: fit.unidentifiable.iter().map(combination).collect(),
             polynomial: None,
+            final_state: None,
         }
     }
 
@@ -159,6 +164,7 @@ impl SensorModel {
                 coefficients_g: rows(&model.coefficients_g),
                 std_errors_g: rows(&fit.std_error_g),
             }),
+            final_state: None,
         }
     }
 

@@ -4,8 +4,9 @@
 use crate::compare::Validation;
 use crate::compare::campaign_reader::{CampaignReader, RecordingId};
 use crate::progress;
+use crate::replay::corrections::SensorCorrections;
 use anyhow::Result;
-use model_export::effects::EffectTerm;
+use model_export::effects::{EffectTerm, ExcitationSeries};
 use model_export::fit::campaign::FitSetup;
 use model_export::fit::joint::JointFit;
 use model_export::fit::{FitError, FitOptions};
@@ -58,6 +59,28 @@ impl FoldModel {
         let fitted = &self.model.provenance.recordings;
         let place = fitted.iter().position(|other| other.sha256 == recording.named.sha256);
         place.unwrap_or(fitted.len())
+    }
+
+    /// What separates a recording from the conditions of this model's tables, by sensor. `excitation` is that of each sensor,
+    /// `clock_s` its first row on the board's clock.
+    pub fn corrections(
+        &self,
+        recording: &RecordingFolds,
+        excitation: &[(u32, ExcitationSeries)],
+        clock_s: f64,
+    ) -> Vec<SensorCorrections> {
+        let place = self.place_of(recording);
+        let is_new = place == self.model.provenance.recordings.len();
+        let of_sensor = |(sensor, series): &(u32, ExcitationSeries)| {
+            let series = ExcitationSeries { recording: place, ..series.clone() };
+            let predictor = self.model.predictor(*sensor, &self.additions)?;
+            Some(SensorCorrections {
+                sensor: *sensor,
+                rows: predictor.corrections(&series, is_new)?,
+                time_s: series.time_s.iter().map(|time_s| time_s + clock_s).collect(),
+            })
+        };
+        excitation.iter().filter_map(of_sensor).collect()
     }
 }
 

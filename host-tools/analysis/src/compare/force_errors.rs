@@ -1,27 +1,36 @@
 //! Errors of the forces through the device's own code, at the board's rate.
+//!
+//! An error belongs to the device or to something else, by what each effect of the model says of its origin
+//! ([`ErrorOrigin`]): the reference is corrected for its own errors before it is compared; a recording is replayed with the state
+//! that the gripper had at its time; rows in which the device itself detects an event of the model are counted apart; what no
+//! model of the device could remove is not part of the excess.
 
 use crate::compare::cv_plan::{CvPlan, RecordingFolds};
-use crate::compare::{Envelope, ForceAxisErrors, Histogram, MissingForces, Trace};
+use crate::compare::{Envelope, FlaggedRows, ForceAxisErrors, Histogram, MissingForces, Trace};
 use crate::notes::UncompensatedEffect;
 use crate::progress;
-use crate::replay::{RecordingReplay, replay_each};
+use crate::replay::corrections::{Irreducible, SensorCorrections};
+use crate::replay::{RecordingReplay, ReplayInput, replay_each};
 use crate::statistics::{ErrorAccumulator, Moments};
 use anyhow::{Result, anyhow};
 use device_run::ReplayModels;
 use indicatif::ProgressBar;
-use model_export::effects::EffectTerm;
+use model_export::effects::excitation::LoadCycleCounter;
+use model_export::effects::{EffectTerm, ErrorOrigin, ExcitationSeries};
 use model_export::fit::FitOptions;
 use model_export::fit::campaign::FitSetup;
 use model_export::fit::joint::JointFit;
+use model_export::fit::rows::{RecordingRows, own_forces};
 use model_export::inverse::build::{BuildError, DeviceModel, ModelVariant, build_model};
 use model_export::inverse::grbf::GrbfShape;
 use model_export::model_file::{ModelFile, Provenance};
-use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
 use model_export::recordings::columns::Axis;
 use model_export::recordings::in_order;
 use model_export::recordings::stream::RawStream;
+use model_export::recordings::{Campaign, DataError, Recording};
 use rayon::prelude::*;
+use std::borrow::Cow;
 use std::path::Path;
 
 /// Bins of the displayed histograms.
@@ -72,13 +81,32 @@ pub fn held_out_forces(
         .iter()
         .map(|recording| recording.time_s.first().copied().unwrap_or(0.0))
         .collect();
-    evaluate_plans(&plans, Path::new("the fitted model"), alignment, &origins_s, &mut [])
+    let recordings = Recordings {
+        origins_s: &origins_s,
+        read: &|place| Ok(Cow::Borrowed(&campaign.recordings[place])),
+    };
+    evaluate_plans(&plans, Path::new("the fitted model"), alignment, recordings, &mut [])
+}
+
+/// Recordings on the reference's clock.
+#[derive(Clone, Copy)]
+pub struct Recordings<'a> {
+    /// First row of each in seconds.
+    pub origins_s: &'a [f64],
+    /// Reads one of them.
+    pub read: &'a (dyn Fn(usize) -> Result<Cow<'a, Recording>, DataError> + Sync),
 }
 
 /// Errors of one force of one sensor.
 #[derive(Clone, Default)]
 struct Channel {
     errors: ErrorAccumulator,
+    /// Against the reference as recorded.
+    recorded: Moments,
+    /// Rows in which the device detects an event of the model.
+    flagged: Moments,
+    /// Without the field that no model of the device compensates; no rows where the model has no such field.
+    reducible: Moments,
     tared: Moments,
     /// Sum of the squared white noise over the rows.
     noise: f64,
@@ -96,8 +124,7 @@ struct SensorForces {
     curves: [[Vec<f64>; 2]; 2],
 }
 
-/// Replays every recording with the models of its folds, and adds the forces to `traces`. `origins_s` are the
-/// first rows of the recordings on the reference's clock.
+/// Replays every recording with the models of its folds, and adds the forces to `traces`.
 ///
 /// # Errors
 /// A model cannot be built, or a recording cannot be read.
@@ -105,11 +132,11 @@ pub fn evaluate_forces(
     plan: &CvPlan,
     path: &Path,
     alignment: Alignment,
-    origins_s: &[f64],
+    recordings: Recordings,
     traces: &mut [Trace],
 ) -> Result<ForceEvaluation> {
     let plans = std::slice::from_ref(plan);
-    let evaluated = evaluate_plans(plans, path, alignment, origins_s, traces)?;
+    let evaluated = evaluate_plans(plans, path, alignment, recordings, traces)?;
     Ok(evaluated.into_iter().next().unwrap_or_default())
 }
 
@@ -118,7 +145,7 @@ fn evaluate_plans(
     plans: &[CvPlan],
     path: &Path,
     alignment: Alignment,
-    origins_s: &[f64],
+    source: Recordings,
     traces: &mut [Trace],
 ) -> Result<Vec<ForceEvaluation>> {
     // Without traces the caller shows the progress.
@@ -139,20 +166,26 @@ fn evaluate_plans(
     let mut channels: Vec<Vec<(u32, [Channel; 2])>> = vec![Vec::new(); plans.len()];
     let at_once = 2 * rayon::current_num_threads();
     let points = (POINTS / (4 * traces.len().max(1))).clamp(50, 3000);
-    let of_all: Vec<(usize, &f64)> = origins_s.iter().take(recordings.len()).enumerate().collect();
+    let of_all: Vec<(usize, &f64)> =
+        source.origins_s.iter().take(recordings.len()).enumerate().collect();
+    let mut excitation = CampaignExcitation::of(plans);
     for some in of_all.chunks(at_once) {
+        let some = some.iter().map(|(recording, origin_s)| {
+            Ok((*recording, **origin_s, excitation.next(*recording, source.read)?))
+        });
+        let some = some.collect::<Result<Vec<_>, DataError>>()?;
         let replayed = some
             .par_iter()
-            .map(|(recording, origin_s)| {
-                let replayed =
-                    replay_folds(plans, &built, *recording, alignment, **origin_s, has_curves);
+            .map(|(recording, origin_s, excitation)| {
+                let replay = FoldReplay { plans, built: &built, recording: *recording, alignment };
+                let replayed = replay.run(*origin_s, excitation, has_curves);
                 bar.inc(1);
                 replayed
             })
             .collect::<Vec<_>>()
             .into_iter()
             .collect::<Result<Vec<_>>>()?;
-        for ((recording, _), of_plans) in some.iter().zip(replayed) {
+        for ((recording, ..), of_plans) in some.iter().zip(replayed) {
             if let Some(sensors) = of_plans.first() {
                 add_to_traces(traces, &recordings[*recording].named.name, sensors, points);
             }
@@ -243,82 +276,194 @@ fn build_tables(plan: &CvPlan, path: &Path) -> Result<FoldTables> {
     }
 }
 
-/// Replays one recording in one pass, each segment with the model of its fold of each plan: sensors by plan; the first plan with
-/// its curves where `has_curves`.
-fn replay_folds(
-    plans: &[CvPlan],
-    built: &[FoldTables],
+/// Excitation of the sensors, recording by recording in their order, where a model corrects recordings by it.
+struct CampaignExcitation {
+    /// Sensors with the load cycles so far; empty where nothing is corrected.
+    sensors: Vec<(u32, LoadCycleCounter)>,
+    before_s: f64,
+}
+
+/// Excitation of each sensor over one recording.
+type RecordingExcitation = Vec<(u32, ExcitationSeries)>;
+
+impl CampaignExcitation {
+    fn of(plans: &[CvPlan]) -> Self {
+        let models = plans.iter().filter_map(|plan| plan.models.first());
+        let mut numbers: Vec<u32> = models
+            .filter(|fold| {
+                fold.additions.iter().any(|of| of.error_origin() != ErrorOrigin::Compensated)
+            })
+            .flat_map(|fold| fold.model.sensors.iter().map(|sensor| sensor.number))
+            .collect();
+        numbers.sort_unstable();
+        numbers.dedup();
+        let sensors = numbers.into_iter().map(|number| (number, LoadCycleCounter::default()));
+        Self { sensors: sensors.collect(), before_s: 0.0 }
+    }
+
+    fn next<'a>(
+        &mut self,
+        place: usize,
+        read: impl Fn(usize) -> Result<Cow<'a, Recording>, DataError>,
+    ) -> Result<RecordingExcitation, DataError> {
+        if self.sensors.is_empty() {
+            return Ok(Vec::new());
+        }
+        let recording = read(place)?;
+        let position = (place, self.before_s);
+        self.before_s += recording.span_s();
+        let series = self.sensors.iter_mut().filter_map(|(number, cycles)| {
+            let rows = RecordingRows::of(&recording, position, *number, &own_forces(*number))?;
+            let mut track = rows.track;
+            cycles.update(&mut track);
+            Some((*number, track))
+        });
+        Ok(series.collect())
+    }
+}
+
+/// The replay of one recording in one pass, each segment with the model of its fold of each plan.
+struct FoldReplay<'a> {
+    plans: &'a [CvPlan],
+    built: &'a [FoldTables],
     recording: usize,
     alignment: Alignment,
-    origin_s: f64,
-    has_curves: bool,
-) -> Result<Vec<Vec<SensorForces>>> {
-    // Plan and model of each replay.
-    let mut used: Vec<(usize, usize)> = Vec::new();
-    for (place, (plan, built)) in plans.iter().zip(built).enumerate() {
-        if built.is_ok() {
-            used.extend(plan.recordings[recording].folds.iter().map(|(_, model)| (place, *model)));
-        }
-    }
-    used.sort_unstable();
-    used.dedup();
-    let named = &plans[0].recordings[recording].named;
-    let models = used.iter().map(|(plan, model)| {
-        let built = built[*plan].as_ref().ok().and_then(|built| built.get(*model)?.as_ref());
-        built.map(ReplayModels::of).ok_or_else(|| anyhow!("{}: no tables were built", named.name))
-    });
-    let models = models.collect::<Result<Vec<ReplayModels>>>()?;
-    let stream = RawStream::open_folder(&named.folder, alignment)?;
-    let mut segments: Vec<Vec<SensorForces>> = vec![Vec::new(); used.len()];
-    let replayed = replay_each(
-        &models,
-        &named.name,
-        stream,
-        |_| (),
-        |place, row| {
-            let (plan, model) = used[place];
-            let time_s = row.time_s - 1e-6 * alignment.delay_us - origin_s;
-            let folds = &plans[plan].recordings[recording].folds;
-            let fold = folds.iter().find(|(until, _)| time_s < *until);
-            if fold.is_none_or(|(_, of)| *of != model) {
-                return;
-            }
-            let segment = &mut segments[place];
-            while segment.len() <= row.sensor {
-                segment.push(SensorForces::default());
-            }
-            let sensor = &mut segment[row.sensor];
-            if has_curves && plan == 0 {
-                sensor.time_s.push(time_s);
-                for (axis, curves) in sensor.curves.iter_mut().enumerate() {
-                    curves[0].push(row.reference_n[axis]);
-                    curves[1].push(row.estimate_n[axis]);
+}
+
+/// A replay of [`FoldReplay`]: its plan and model, and whether the readings are without what no model compensates.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+struct FoldModelReplay {
+    plan: usize,
+    model: usize,
+    is_reducible: bool,
+}
+
+impl FoldReplay<'_> {
+    /// Sensors by plan; the first plan with its curves where `has_curves`. `origin_s` is the first row of the recording on the
+    /// reference's clock.
+    fn run(
+        &self,
+        origin_s: f64,
+        excitation: &RecordingExcitation,
+        has_curves: bool,
+    ) -> Result<Vec<Vec<SensorForces>>> {
+        let used = self.replays();
+        let named = &self.plans[0].recordings[self.recording].named;
+        let corrections: Vec<Vec<SensorCorrections>> =
+            used.iter().map(|of| self.corrections(*of, excitation, origin_s)).collect();
+        let inputs = used.iter().zip(&corrections).map(|(of, corrections)| {
+            let built = self.built[of.plan].as_ref().ok();
+            let built = built.and_then(|built| built.get(of.model)?.as_ref());
+            let built = built.ok_or_else(|| anyhow!("{}: no tables were built", named.name))?;
+            let irreducible =
+                if of.is_reducible { Irreducible::Subtracted } else { Irreducible::Kept };
+            Ok(ReplayInput { models: ReplayModels::of(built), corrections, irreducible })
+        });
+        let inputs = inputs.collect::<Result<Vec<ReplayInput>>>()?;
+        let stream = RawStream::open_folder(&named.folder, self.alignment)?;
+        let mut segments: Vec<Vec<SensorForces>> = vec![Vec::new(); used.len()];
+        let counts_events: Vec<bool> = self.plans.iter().map(has_event).collect();
+        let replayed = replay_each(
+            &inputs,
+            &named.name,
+            stream,
+            |_| (),
+            |place, row| {
+                let FoldModelReplay { plan, model, is_reducible } = used[place];
+                let time_s = row.time_s - 1e-6 * self.alignment.delay_us - origin_s;
+                let folds = &self.plans[plan].recordings[self.recording].folds;
+                let fold = folds.iter().find(|(until, _)| time_s < *until);
+                if fold.is_none_or(|(_, of)| *of != model) {
+                    return;
                 }
+                let segment = &mut segments[place];
+                while segment.len() <= row.sensor {
+                    segment.push(SensorForces::default());
+                }
+                let sensor = &mut segment[row.sensor];
+                if has_curves && plan == 0 && !is_reducible {
+                    sensor.time_s.push(time_s);
+                    for (axis, curves) in sensor.curves.iter_mut().enumerate() {
+                        curves[0].push(row.reference_n[axis]);
+                        curves[1].push(row.estimate_n[axis]);
+                    }
+                }
+                for (axis, channel) in sensor.channels.iter_mut().enumerate() {
+                    let error = row.estimate_n[axis] - row.reference_n[axis];
+                    if is_reducible {
+                        channel.reducible.add(error);
+                    } else if row.is_disturbed && counts_events[plan] {
+                        channel.flagged.add(error);
+                    } else {
+                        channel.errors.add(row.reference_n[axis], error);
+                        channel.recorded.add(row.estimate_n[axis] - row.recorded_n[axis]);
+                        channel.count(error);
+                    }
+                }
+            },
+        )?;
+        let mut of_plans: Vec<Vec<SensorForces>> = vec![Vec::new(); self.plans.len()];
+        for (of, (mut segment, replayed)) in used.iter().zip(segments.into_iter().zip(&replayed)) {
+            let is_same = |other: &&FoldModelReplay| {
+                (other.plan, other.is_reducible) == (of.plan, of.is_reducible)
+            };
+            let is_whole = used.iter().filter(is_same).count() == 1 && !of.is_reducible;
+            add_noise_and_tare(&mut segment, replayed, is_whole);
+            let sensors = &mut of_plans[of.plan];
+            if sensors.is_empty() {
+                *sensors = segment
+            } else {
+                sensors.iter_mut().zip(segment).for_each(|(sensor, more)| sensor.append(more))
             }
-            for axis in 0..2 {
-                let error = row.estimate_n[axis] - row.reference_n[axis];
-                sensor.channels[axis].errors.add(row.reference_n[axis], error);
-                sensor.channels[axis].count(error);
-            }
-        },
-    )?;
-    let mut of_plans: Vec<Vec<SensorForces>> = vec![Vec::new(); plans.len()];
-    for (place, (mut segment, replayed)) in segments.into_iter().zip(&replayed).enumerate() {
-        let plan = used[place].0;
-        let is_whole = used.iter().filter(|(of, _)| *of == plan).count() == 1;
-        add_noise_and_tare(&mut segment, replayed, is_whole);
-        let sensors = &mut of_plans[plan];
-        if sensors.is_empty() {
-            *sensors = segment
-        } else {
-            sensors.iter_mut().zip(segment).for_each(|(sensor, more)| sensor.append(more))
         }
+        for sensors in &mut of_plans {
+            sensors.retain(|sensor| sensor.channels[0].errors.rows() > 0.0);
+            sensors.iter_mut().for_each(SensorForces::sort);
+        }
+        Ok(of_plans)
     }
-    for sensors in &mut of_plans {
-        sensors.retain(|sensor| sensor.channels[0].errors.rows() > 0.0);
-        sensors.iter_mut().for_each(SensorForces::sort);
+
+    /// The replays of all plans with tables.
+    fn replays(&self) -> Vec<FoldModelReplay> {
+        let mut used = Vec::new();
+        for (plan, (of, built)) in self.plans.iter().zip(self.built).enumerate() {
+            let additions = of.models.first().map_or(&[][..], |fold| &fold.additions[..]);
+            let is_irreducible = additions.iter().any(|of| of.error_origin().is_irreducible());
+            let kinds: &[bool] = if is_irreducible { &[false, true] } else { &[false] };
+            for &(_, model) in of.recordings[self.recording].folds.iter().filter(|_| built.is_ok())
+            {
+                used.extend(kinds.iter().map(|&is_reducible| FoldModelReplay {
+                    plan,
+                    model,
+                    is_reducible,
+                }));
+            }
+        }
+        used.sort_unstable();
+        used.dedup();
+        used
     }
-    Ok(of_plans)
+
+    /// What separates the recording from the conditions of a model's tables.
+    fn corrections(
+        &self,
+        of: FoldModelReplay,
+        excitation: &RecordingExcitation,
+        origin_s: f64,
+    ) -> Vec<SensorCorrections> {
+        let plan = &self.plans[of.plan];
+        let (Some(fold), planned) = (plan.models.get(of.model), &plan.recordings[self.recording])
+        else {
+            return Vec::new();
+        };
+        fold.corrections(planned, excitation, origin_s + 1e-6 * self.alignment.delay_us)
+    }
+}
+
+/// Whether the effects of a plan contain an event, whose rows are counted apart where the device detects it.
+fn has_event(plan: &CvPlan) -> bool {
+    let additions = plan.models.first().map_or(&[][..], |fold| &fold.additions[..]);
+    additions.iter().any(|effect| effect.error_origin() == ErrorOrigin::Event)
 }
 
 /// Sets number, noise and tare of the sensors; a tare only if one model replayed the `whole` recording.
@@ -326,7 +471,8 @@ fn add_noise_and_tare(segment: &mut [SensorForces], replayed: &RecordingReplay, 
     for (sensor, of) in segment.iter_mut().zip(&replayed.sensors) {
         sensor.number = of.number;
         for (channel, track) in sensor.channels.iter_mut().zip(&of.axes) {
-            channel.noise = channel.errors.rows() * track.noise_n * track.noise_n;
+            let rows = channel.errors.rows() + channel.flagged.rows();
+            channel.noise = rows * track.noise_n * track.noise_n;
             if let (true, Some(tared)) = (whole, track.tared()) {
                 channel.tared = tared;
             }
@@ -366,6 +512,9 @@ impl Channel {
 
     fn add(&mut self, other: Self) {
         self.errors = std::mem::take(&mut self.errors).with(&other.errors);
+        self.recorded = self.recorded.with(other.recorded);
+        self.flagged = self.flagged.with(other.flagged);
+        self.reducible = self.reducible.with(other.reducible);
         self.tared = self.tared.with(other.tared);
         self.noise += other.noise;
         self.histogram.resize(FINE, 0);
@@ -378,14 +527,21 @@ fn finish(channels: &[(u32, [Channel; 2])]) -> ForceEvaluation {
     let errors = channels.iter().flat_map(|(sensor, channels)| {
         channels.iter().zip(axes).map(|(channel, axis)| {
             let error = channel.errors.statistics();
-            let floor = (channel.noise / channel.errors.rows().max(1.0)).sqrt();
+            let rows = channel.errors.rows() + channel.flagged.rows();
+            let floor = (channel.noise / rows.max(1.0)).sqrt();
+            let some = |moments: &Moments| (moments.rows() > 0.0).then(|| moments.rms());
+            let reducible_rms = some(&channel.reducible).unwrap_or(error.rms);
             ForceAxisErrors {
                 sensor: *sensor,
                 axis,
                 error,
-                tared_rms: (channel.tared.rows() > 0.0).then(|| channel.tared.rms()),
+                recorded_rms: some(&channel.recorded).unwrap_or(error.rms),
+                reducible_rms,
+                flagged: some(&channel.flagged)
+                    .map(|rms| FlaggedRows { share: channel.flagged.rows() / rows, rms_n: rms }),
+                tared_rms: some(&channel.tared),
                 floor,
-                explainable: (error.rms.powi(2) - floor.powi(2)).max(0.0).sqrt(),
+                explainable: (reducible_rms.powi(2) - floor.powi(2)).max(0.0).sqrt(),
             }
         })
     });

@@ -46,21 +46,39 @@ pub fn floor_g(axes: &[FieldAxisErrors]) -> f64 {
     pooled_rms(axes.iter().map(|axis| axis.floor.total))
 }
 
+/// Rows in which the device detects an event of the model; they are not in the errors.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct FlaggedRows {
+    /// Fraction of all rows.
+    pub share: f64,
+    /// Error of these rows, root mean square in newtons.
+    pub rms_n: f64,
+}
+
 /// Error over all forces through the device's own code, with the noise next to it: the figure that every command states first.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ForceError {
-    /// Root mean square over all forces in newtons.
+    /// Root mean square over all forces in newtons, against the reference corrected for its own errors in the model.
     pub rms_n: f64,
     /// The same from the white noise of sensors and reference alone.
     pub noise_n: f64,
+    /// The same against the reference as recorded.
+    pub recorded_rms_n: f64,
+    /// The same without what no model of the device could remove.
+    pub reducible_rms_n: f64,
+    /// Rows in which the device detects an event of the model.
+    pub flagged: Option<FlaggedRows>,
 }
 
 impl Serialize for ForceError {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let mut object = serializer.serialize_struct("ForceError", 3)?;
+        let mut object = serializer.serialize_struct("ForceError", 6)?;
         object.serialize_field("rms_n", &self.rms_n)?;
         object.serialize_field("noise_n", &self.noise_n)?;
         object.serialize_field("excess_n", &self.excess_n())?;
+        object.serialize_field("recorded_rms_n", &self.recorded_rms_n)?;
+        object.serialize_field("irreducible_n", &self.irreducible_n())?;
+        object.serialize_field("flagged", &self.flagged)?;
         object.end()
     }
 }
@@ -68,15 +86,34 @@ impl Serialize for ForceError {
 impl ForceError {
     /// Pools the forces; `None` without any.
     pub fn of(forces: &[ForceAxisErrors]) -> Option<Self> {
+        let pooled = |of: fn(&ForceAxisErrors) -> f64| pooled_rms(forces.iter().map(of));
+        let flagged = || forces.iter().filter_map(|force| force.flagged);
+        let share = flagged().map(|rows| rows.share).sum::<f64>() / forces.len() as f64;
         (!forces.is_empty()).then(|| Self {
-            rms_n: pooled_rms(forces.iter().map(|force| force.error.rms)),
-            noise_n: pooled_rms(forces.iter().map(|force| force.floor)),
+            rms_n: pooled(|force| force.error.rms),
+            noise_n: pooled(|force| force.floor),
+            recorded_rms_n: pooled(|force| force.recorded_rms),
+            reducible_rms_n: pooled(|force| force.reducible_rms),
+            flagged: (share > 0.0).then(|| FlaggedRows {
+                share,
+                rms_n: pooled_rms(flagged().map(|rows| rows.rms_n)),
+            }),
         })
     }
 
-    /// Error that a better model can remove, in newtons: root of the difference of squares.
+    /// An error of the device alone, against a reference without errors of its own.
+    pub fn of_device(rms_n: f64, noise_n: f64) -> Self {
+        Self { rms_n, noise_n, recorded_rms_n: rms_n, reducible_rms_n: rms_n, flagged: None }
+    }
+
+    /// Error that a better model of the device could remove, in newtons: root of the difference of squares.
     pub fn excess_n(&self) -> f64 {
-        (self.rms_n.powi(2) - self.noise_n.powi(2)).max(0.0).sqrt()
+        (self.reducible_rms_n.powi(2) - self.noise_n.powi(2)).max(0.0).sqrt()
+    }
+
+    /// Error of the device that none of its models could remove, in newtons: root of the difference of squares.
+    pub fn irreducible_n(&self) -> f64 {
+        (self.rms_n.powi(2) - self.reducible_rms_n.powi(2)).max(0.0).sqrt()
     }
 }
 
@@ -216,8 +253,14 @@ pub struct ForceAxisErrors {
     pub sensor: u32,
     /// X lateral, Z longitudinal.
     pub axis: Axis,
-    /// Error of the device's fixed-point code at the board's rate.
+    /// Error of the device's fixed-point code at the board's rate, against the corrected reference.
     pub error: ErrorStatistics,
+    /// RMS error against the reference as recorded.
+    pub recorded_rms: f64,
+    /// RMS error without what no model of the device could remove.
+    pub reducible_rms: f64,
+    /// Rows in which the device detects an event of the model.
+    pub flagged: Option<FlaggedRows>,
     /// RMS after a tare; `None` without an unloaded interval.
     pub tared_rms: Option<f64>,
     /// RMS error from white noise alone.

@@ -5,7 +5,7 @@ use crate::compare::bootstrap_bands::BlockBootstrap;
 use crate::compare::campaign_reader::{Caching, CampaignReader, ScannedCampaign};
 use crate::compare::cv_plan::{CvPlan, ModelRefit};
 use crate::compare::field_errors::{FieldEvaluation, SensorEvaluation, evaluate_fields};
-use crate::compare::force_errors::evaluate_forces;
+use crate::compare::force_errors::{Recordings, evaluate_forces};
 use crate::compare::pure_error::{drift_at_rest, pure_error};
 use crate::compare::residual_table::{ResidualTable, residual_map, worst_intervals};
 use crate::compare::{Attribution, Comparison, ComparisonProvenance, FieldAxisErrors, NoiseFloor};
@@ -197,7 +197,9 @@ pub(crate) fn evaluate(
     let unreported = fields.notices.iter().filter(|notice| !is_reported(&notice.location));
     notes.extend(unreported.cloned().map(Note::Recording));
     let alignment = source.alignment;
-    let device = evaluate_forces(&plan, path, alignment, &fields.origins_s, &mut fields.traces)?;
+    let read = |place| source.read(place);
+    let recordings = Recordings { origins_s: &fields.origins_s, read: &read };
+    let device = evaluate_forces(&plan, path, alignment, recordings, &mut fields.traces)?;
     let columns: Vec<ResidualTable> = fields
         .sensors
         .iter_mut()

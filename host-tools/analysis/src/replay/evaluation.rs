@@ -24,7 +24,7 @@ use crate::compare::ForceError;
 use crate::compare::campaign_reader::check_sensor_scale;
 use crate::notes::{Note, UncompensatedEffect};
 use crate::progress;
-use crate::replay::{AxisReplay, RecordingReplay, replay_each};
+use crate::replay::{AxisReplay, RecordingReplay, ReplayInput, replay_each};
 use crate::statistics::{Moments, pooled_rms};
 
 /// Replays of a campaign with a model and, for comparison, with simpler models.
@@ -179,7 +179,8 @@ pub fn replay_all(
             let new = count - before.replace(count);
             progress::show_rows(&bar, message, rows.fetch_add(new, Ordering::Relaxed) + new);
         };
-        let of_each = replay_each(models, &recording_name(folder), stream, done, |_, _| ())?;
+        let inputs: Vec<ReplayInput> = models.iter().map(|models| (*models).into()).collect();
+        let of_each = replay_each(&inputs, &recording_name(folder), stream, done, |_, _| ())?;
         bar.inc(1);
         Ok(of_each)
     };
@@ -267,10 +268,10 @@ pub fn times_real_time(recordings: &[RecordingReplay]) -> f64 {
 /// Error over all forces; NaN without any.
 pub fn pooled_error(recordings: &[RecordingReplay]) -> ForceError {
     let pooled = pooled(recordings);
-    ForceError {
-        rms_n: pooled_rms(pooled.iter().map(|axis| axis.sum(|track| track.error).rms())),
-        noise_n: pooled_rms(pooled.iter().map(PooledAxis::noise_n)),
-    }
+    ForceError::of_device(
+        pooled_rms(pooled.iter().map(|axis| axis.sum(|track| track.error).rms())),
+        pooled_rms(pooled.iter().map(PooledAxis::noise_n)),
+    )
 }
 
 /// Replays with and without networks, on held-out recordings if there are any.

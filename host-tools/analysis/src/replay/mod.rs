@@ -1,6 +1,7 @@
 //! Recordings through the device's own code, compared with the reference.
 
 pub mod bags;
+pub mod corrections;
 pub mod evaluation;
 pub mod tare;
 
@@ -22,6 +23,7 @@ use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use crate::calibration::{Coverage, PredictedError, SIGMA_MULTIPLES, subtract_tare};
+use crate::replay::corrections::{Irreducible, SampleCorrection, SensorCorrections};
 use crate::replay::tare::{TareEstimator, friction_n};
 use crate::statistics::Moments;
 use device_run::channel_map::SensorChannels;
@@ -138,12 +140,40 @@ pub struct ForceSample {
     pub sensor: usize,
     /// The board's clock in seconds.
     pub time_s: f64,
-    /// Interpolated reference in newtons: lateral, longitudinal.
+    /// Interpolated reference in newtons, corrected for its errors: lateral, longitudinal.
     pub reference_n: [f64; 2],
+    /// The same as recorded.
+    pub recorded_n: [f64; 2],
     /// The device's estimate in newtons.
     pub estimate_n: [f64; 2],
+    /// Whether the device detects a magnetic disturbance.
+    pub is_disturbed: bool,
     /// Standard deviations predicted by a network, in newtons.
     pub sigma_n: Option<[f64; 2]>,
+}
+
+/// Models of one replay, and what separates the recording from the conditions of their tables.
+#[derive(Clone, Copy, Debug)]
+pub struct ReplayInput<'a> {
+    /// Tables and networks.
+    pub models: ReplayModels<'a>,
+    /// Corrections of the sensors.
+    pub corrections: &'a [SensorCorrections],
+    /// Whether the field that no model compensates is subtracted.
+    pub irreducible: Irreducible,
+}
+
+impl<'a> From<ReplayModels<'a>> for ReplayInput<'a> {
+    fn from(models: ReplayModels<'a>) -> Self {
+        Self { models, corrections: &[], irreducible: Irreducible::Kept }
+    }
+}
+
+impl ReplayInput<'_> {
+    fn correction(&self, sensor: u32, time_s: f64) -> Option<SampleCorrection> {
+        let of_sensor = self.corrections.iter().find(|one| one.sensor == sensor);
+        of_sensor?.at(time_s, self.irreducible)
+    }
 }
 
 /// Replays one recording and passes every valid estimate to `on_sample`. `done` receives the number of rows so
@@ -158,7 +188,8 @@ pub fn replay_with(
     done: impl Fn(u64),
     mut on_sample: impl FnMut(ForceSample),
 ) -> Result<RecordingReplay, DataError> {
-    let replayed = replay_each(&[models], name, stream, done, |_, sample| on_sample(sample))?;
+    let inputs = [models.into()];
+    let replayed = replay_each(&inputs, name, stream, done, |_, sample| on_sample(sample))?;
     Ok(replayed.into_iter().next().unwrap_or_default())
 }
 
@@ -168,28 +199,28 @@ pub fn replay_with(
 /// # Errors
 /// The recording cannot be read.
 pub fn replay_each(
-    models: &[ReplayModels],
+    inputs: &[ReplayInput],
     name: &str,
     stream: RawStream,
     done: impl Fn(u64),
     mut on_sample: impl FnMut(usize, ForceSample),
 ) -> Result<Vec<RecordingReplay>, DataError> {
-    let Some(first) = models.first() else {
+    let Some(first) = inputs.first() else {
         return Ok(Vec::new());
     };
-    let mut input = first.rows(stream);
+    let mut input = first.models.rows(stream);
     let sensors = input.sensors().to_vec();
     let compensations: Vec<Vec<Compensation>> =
-        models.iter().map(ReplayModels::compensation_views).collect();
-    let tables: Vec<Tables> = models
+        inputs.iter().map(|input| input.models.compensation_views()).collect();
+    let tables: Vec<Tables> = inputs
         .iter()
         .zip(&compensations)
-        .map(|(models, compensations)| models.tables.tables(compensations))
+        .map(|(input, compensations)| input.models.tables.tables(compensations))
         .collect();
-    let mut replays: Vec<ModelReplay> = models
+    let mut replays: Vec<ModelReplay> = inputs
         .iter()
         .zip(&tables)
-        .map(|(models, tables)| ModelReplay::new(*models, tables, name, &sensors))
+        .map(|(input, tables)| ModelReplay::new(*input, tables, name, &sensors))
         .collect();
     let mut read = |rows: &mut Vec<DeviceRow>| -> Result<Duration, DataError> {
         rows.clear();
@@ -225,6 +256,7 @@ pub fn replay_each(
 
 /// One model over one recording.
 struct ModelReplay<'a> {
+    input: ReplayInput<'a>,
     tables: &'a Tables<'a>,
     estimator: Estimator<'a, Option<ReplayNetworks<'a>>>,
     /// Of sensors without a slot on the board.
@@ -234,19 +266,23 @@ struct ModelReplay<'a> {
     first_s: Option<f64>,
     estimates: Vec<Estimate>,
     network_valid: Vec<bool>,
+    /// Whether the device detects a disturbance, by row.
+    disturbed: Vec<bool>,
     samples: Vec<ForceSample>,
     evaluation: Evaluation<'a>,
 }
 
 impl<'a> ModelReplay<'a> {
     fn new(
-        models: ReplayModels<'a>,
+        input: ReplayInput<'a>,
         tables: &'a Tables<'a>,
         name: &str,
         sensors: &[SensorChannels],
     ) -> Self {
+        let models = input.models;
         let mut owned = models.compensations.iter();
         Self {
+            input,
             tables,
             estimator: Estimator::new(tables, models.networks.map(NetworkSet::start)),
             memories: vec![CompensationState::default(); sensors.len()],
@@ -255,6 +291,7 @@ impl<'a> ModelReplay<'a> {
             first_s: None,
             estimates: Vec::with_capacity(CHUNK * sensors.len()),
             network_valid: Vec::with_capacity(CHUNK * sensors.len()),
+            disturbed: Vec::with_capacity(CHUNK),
             samples: Vec::with_capacity(CHUNK * sensors.len()),
             evaluation: Evaluation::new(models, name, sensors),
         }
@@ -265,18 +302,34 @@ impl<'a> ModelReplay<'a> {
         let estimator = &mut self.estimator;
         self.estimates.clear();
         self.network_valid.clear();
+        self.disturbed.clear();
         estimator.networks().iter_mut().for_each(ReplayNetworks::clear_inputs);
         let gauss_per_lsb = self.evaluation.models.gauss_per_lsb;
         let start = Instant::now();
         for row in rows {
-            let frame = HallFrame { readings: row.readings, ..HallFrame::default() };
+            let corrected = |channels: &SensorChannels| {
+                let correction = self.input.correction(channels.number, row.raw.time_s)?;
+                let field_g = correction.field_g(channels.field_g(&row.raw));
+                Some(channels.reading_of(field_g, &row.raw, gauss_per_lsb))
+            };
+            let mut frame = HallFrame { readings: row.readings, ..HallFrame::default() };
+            for channels in sensors {
+                if let Some(slot) = frame.readings.get_mut(channels.number as usize)
+                    && let Some(reading) = corrected(channels)
+                {
+                    *slot = Some(reading);
+                }
+            }
             let on_board = estimator.update(&frame, &row.inputs);
-            self.disturbances.update(row.raw.time_s, estimator.detector().flag());
+            let is_disturbed = estimator.detector().flag();
+            self.disturbances.update(row.raw.time_s, is_disturbed);
+            self.disturbed.push(is_disturbed);
             for (channels, memory) in sensors.iter().zip(&mut self.memories) {
                 let number = channels.number as usize;
                 self.network_valid.push(!estimator.network_diverged(number));
                 self.estimates.push(on_board.get(number).copied().unwrap_or_else(|| {
-                    let reading = Some(channels.reading(&row.raw, gauss_per_lsb));
+                    let own = || channels.reading(&row.raw, gauss_per_lsb);
+                    let reading = Some(corrected(channels).unwrap_or_else(own));
                     estimate(self.tables, number, reading, &row.inputs, memory)
                 }));
             }
@@ -313,9 +366,11 @@ impl<'a> ModelReplay<'a> {
                 let network =
                     floats.filter(|_| network_valid).and_then(|floats| *floats.get(number)?);
                 let ideal = ideal.unwrap_or(estimate);
-                let sample =
-                    self.evaluation.update((i, channels), &row.raw, estimate, ideal, network);
-                self.samples.extend(sample);
+                let correction = self.input.correction(channels.number, row.raw.time_s);
+                let estimates = (estimate, ideal, network);
+                let sample = self.evaluation.update((i, channels), &row.raw, estimates, correction);
+                let is_disturbed = self.disturbed.get(at).copied().unwrap_or_default();
+                self.samples.extend(sample.map(|sample| ForceSample { is_disturbed, ..sample }));
             }
         }
     }
@@ -372,25 +427,26 @@ impl<'a> Evaluation<'a> {
         &mut self,
         (i, channels): (usize, &SensorChannels),
         row: &RawRow,
-        estimate: &Estimate,
-        ideal: &Estimate,
-        network: Option<FloatForce>,
+        (estimate, ideal, network): (&Estimate, &Estimate, Option<FloatForce>),
+        correction: Option<SampleCorrection>,
     ) -> Option<ForceSample> {
-        let reference = channels.forces.map(|force| row.forces[force]);
-        if !reference.iter().all(|n| n.is_finite()) {
+        let recorded = channels.forces.map(|force| row.forces[force]);
+        if !recorded.iter().all(|n| n.is_finite()) {
             return None;
         }
-        let found = estimate.force.map(Force::newtons);
+        let reference = correction.map_or(recorded, |of| of.reference_n(recorded));
+        let of_row = |force_n| correction.map_or(force_n, |of| of.estimate_n(force_n));
+        let found = of_row(estimate.force.map(Force::newtons));
         let counts = estimate.field.map(Field::counts);
         let field_g = Vector3::from(counts) * self.models.gauss_per_lsb;
         let float = self.float.as_ref().map(|models| models[channels.table].force(&field_g));
         let float = float.map(|ideal_n| {
-            [0, 1].map(|axis| {
+            of_row([0, 1].map(|axis| {
                 // Compensations of the forces exist in integer arithmetic alone.
                 let compensation =
                     ideal.force[axis].newtons() - estimate.uncompensated[axis].newtons();
                 FloatForce::over(network, axis, ideal_n[axis] + compensation)
-            })
+            }))
         });
         for axis in 0..2 {
             self.noises[i][axis].push(found[axis]);
@@ -420,7 +476,9 @@ impl<'a> Evaluation<'a> {
             sensor: i,
             time_s: row.time_s,
             reference_n: reference,
+            recorded_n: recorded,
             estimate_n: found,
+            is_disturbed: false,
             sigma_n,
         })
     }

@@ -1081,7 +1081,7 @@ mod tests {
         let step = |added: &str, rms_g: f64, rms_n: f64| StaircaseStep {
             added: vec![added.to_owned()],
             held_out_rms_g: rms_g,
-            force: Some(ForceError { rms_n, noise_n: 0.4 }),
+            force: Some(ForceError::of_device(rms_n, 0.4)),
             floor_g: 0.16,
         };
         let steps = [

@@ -86,7 +86,7 @@ pub fn full() -> Diagnosis {
     let stair = |added: &[&str], rms: f64| StaircaseStep {
         added: added.iter().map(|&name| name.to_owned()).collect(),
         held_out_rms_g: rms,
-        force: (rms > 1.0).then_some(ForceError { rms_n: 0.6 * rms, noise_n: 0.4 }),
+        force: (rms > 1.0).then_some(ForceError::of_device(0.6 * rms, 0.4)),
         floor_g: 0.159,
     };
     let pair = ["magnet_temperature", "sensor_temperature"];

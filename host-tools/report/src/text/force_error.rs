@@ -70,8 +70,7 @@ mod tests {
     #[test]
     fn the_excess_is_the_root_of_the_difference_of_squares() {
         // 0.5^2 - 0.4^2 = 0.3^2; an error below the noise has no excess.
-        let (before, after) =
-            (ForceError { rms_n: 0.5, noise_n: 0.4 }, ForceError { rms_n: 0.39, noise_n: 0.4 });
+        let (before, after) = (ForceError::of_device(0.5, 0.4), ForceError::of_device(0.39, 0.4));
         assert!(headline(&before).contains("0.500 N; noise 0.400 N, excess over noise 0.300 N"));
         assert!(change(&before, &after).contains("excess over noise 0.300 N → 0.000 N"));
     }
