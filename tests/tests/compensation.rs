@@ -176,7 +176,7 @@ fn the_device_compensates_each_simulated_effect() {
             DeviceForm::Force(ForceForm::ViscousLag) => 0.6,
             DeviceForm::Tables
             | DeviceForm::Settled
-            | DeviceForm::Bench(_)
+            | DeviceForm::Bench { .. }
             | DeviceForm::Never(_) => continue,
         };
         let id = effect.id;

@@ -81,7 +81,7 @@ pub fn refit(
             notes.push(Note::NotCompensable(why.clone()));
         }
         let written = ModelFile::with_effects(&campaign, &prepared, &new, &after, provenance);
-        let force = ForceError::of(&before_n.errors).zip(ForceError::of(&after_n.errors));
+        let force = before_n.error.zip(after_n.error);
         Ok(ModelEdit {
             force: force.map(|(before, after)| [before, after]),
             uncompensated: after_n.uncompensated,

@@ -84,7 +84,7 @@ pub fn fit_model(
                 let forces = held_out_forces(&campaign, &setup, &[(fit, &[])], alignment, options)?;
                 bar.finish_and_clear();
                 model.inverse = forces.first().and_then(|forces| forces.shape);
-                forces.first().and_then(|forces| ForceError::of(&forces.errors))
+                forces.first().and_then(|forces| forces.error)
             }
         };
         Ok(CampaignFit { campaign, fits, model, force, notes: std::mem::take(notes) })

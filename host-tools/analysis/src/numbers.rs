@@ -83,6 +83,13 @@ pub fn whole_percent(share: f64) -> String {
     }
 }
 
+/// A sentence with a capital at its start.
+pub fn capitalised(sentence: &str) -> String {
+    let mut letters = sentence.chars();
+    let first = letters.next().map(|letter| letter.to_uppercase().to_string());
+    first.unwrap_or_default() + letters.as_str()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -109,7 +109,7 @@ fn is_same(one: &EffectTerm, other: &EffectTerm) -> bool {
 impl WorkbenchModel {
     /// Held-out force error; `None` where the device cannot compute the forces.
     pub fn force(&self) -> Option<ForceError> {
-        ForceError::of(&self.comparison.forces)
+        self.comparison.force()
     }
 }
 

@@ -236,7 +236,7 @@ fn error_table(
     let note = if notes.is_empty() { String::new() } else { terminal::paragraph(&notes.join(" ")) };
     let heading = terminal::paragraph(&format!(
         "4. Add. Force error (held out, device's code, RMS over all forces), its noise, and the excess over it, which a better model \
-         could remove. Held-out rows: {held_out}."
+         of the device could remove. Held-out rows: {held_out}."
     ));
     format!("{heading}{table}\n{note}")
 }

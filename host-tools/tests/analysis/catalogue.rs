@@ -121,7 +121,7 @@ fn every_effect_is_compensated_or_has_a_reason() {
             DeviceForm::Field(_) => (Some((1, 0)), false),
             DeviceForm::Force(_) => (Some((0, 1)), false),
             DeviceForm::Tables | DeviceForm::Settled => (None, true),
-            DeviceForm::Bench(reason) | DeviceForm::Never(reason) => {
+            DeviceForm::Bench { remedy: reason, .. } | DeviceForm::Never(reason) => {
                 assert!(!reason.is_empty(), "{}: no reason", effect.id);
                 (None, false)
             }

@@ -44,8 +44,13 @@ pub enum DeviceForm {
     Tables,
     /// A permanent change: the tables describe the gripper in its state at the end of the campaign.
     Settled,
-    /// Not needed on the device: an error of the test bench, with the remedy.
-    Bench(&'static str),
+    /// Not needed on the device: an error of the reference.
+    Bench {
+        /// The error, before its magnitude: "the reference drifts by".
+        error: &'static str,
+        /// The remedy.
+        remedy: &'static str,
+    },
     /// Impossible on the device, with the reason: the forces keep the effect's error.
     Never(&'static str),
 }
@@ -57,7 +62,7 @@ impl DeviceForm {
             Self::Field(_) | Self::Force(_) => "device",
             Self::Tables => "tables",
             Self::Settled => "settled",
-            Self::Bench(_) => "bench",
+            Self::Bench { .. } => "bench",
             Self::Never(_) => "no",
         }
     }
@@ -311,7 +316,7 @@ impl EffectTerm {
     pub fn error_origin(&self) -> ErrorOrigin {
         match self.effect().map(|effect| effect.device) {
             Some(DeviceForm::Settled) => ErrorOrigin::History,
-            Some(DeviceForm::Bench(_)) => ErrorOrigin::Reference,
+            Some(DeviceForm::Bench { .. }) => ErrorOrigin::Reference,
             Some(DeviceForm::Never(_)) if self.is_transient() => ErrorOrigin::Event,
             Some(DeviceForm::Never(_)) => ErrorOrigin::Uncompensated,
             _ => ErrorOrigin::Compensated,

@@ -79,9 +79,12 @@ const MAX_BLOCKS: usize = 300;
 /// Minimum block length in seconds.
 const MIN_BLOCK_S: f64 = 1.0;
 
-/// Block length in seconds: three times the longest correlation time of the residuals (by recording and axis),
-/// at least `MIN_BLOCK_S` and what leaves `MAX_BLOCKS` blocks, at most what leaves `MIN_BLOCKS` blocks.
-pub fn block_length_s(rows: &SensorRows, residuals: impl Fn(usize, usize) -> Vec<f64>) -> f64 {
+/// Block length in seconds, and the longest correlation time of the residuals (by recording and axis) in seconds. A block is three
+/// times as long, at least `MIN_BLOCK_S` and what leaves `MAX_BLOCKS` blocks, at most what leaves `MIN_BLOCKS` blocks.
+pub fn block_length_s(
+    rows: &SensorRows,
+    residuals: impl Fn(usize, usize) -> Vec<f64>,
+) -> (f64, f64) {
     let (mut longest_s, mut duration_s) = (0.0_f64, 0.0);
     for (i, part) in rows.parts.iter().enumerate() {
         let (Some(first), Some(last)) = (part.time_s.first(), part.time_s.last()) else {
@@ -94,7 +97,7 @@ pub fn block_length_s(rows: &SensorRows, residuals: impl Fn(usize, usize) -> Vec
         }
     }
     let shortest_s = MIN_BLOCK_S.max(duration_s / MAX_BLOCKS as f64);
-    (3.0 * longest_s).max(shortest_s).min(duration_s / MIN_BLOCKS as f64)
+    ((3.0 * longest_s).max(shortest_s).min(duration_s / MIN_BLOCKS as f64), longest_s)
 }
 
 /// Integrated autocorrelation time of evenly spaced values, in rows: 1 for white noise.

@@ -1,6 +1,7 @@
 //! Fits of a whole campaign.
 
-use std::sync::{Arc, OnceLock};
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use rayon::prelude::*;
 
@@ -53,6 +54,8 @@ pub struct FitSetup {
     base_fits: OnceLock<BaseFits>,
     /// Whether the rows are a sample, on which the shapes of effects are searched.
     is_sample: bool,
+    /// Splits of models with transient effects, by the names of their effects.
+    transient_splits: Mutex<BTreeMap<Vec<String>, CvSplit>>,
 }
 
 /// Rows of each recording on which the shapes of effects are searched, and by which effects and formulas are selected; the models
@@ -99,6 +102,7 @@ impl FitSetup {
             polynomials: Vec::new(),
             base_fits: OnceLock::new(),
             is_sample: false,
+            transient_splits: Mutex::default(),
         })
     }
 
@@ -129,6 +133,7 @@ impl FitSetup {
             notices,
             base_fits: OnceLock::new(),
             is_sample: false,
+            transient_splits: Mutex::default(),
         })
     }
 
@@ -153,6 +158,7 @@ impl FitSetup {
             notices: Vec::new(),
             base_fits: OnceLock::new(),
             is_sample: false,
+            transient_splits: Mutex::default(),
         }
     }
 
@@ -241,9 +247,29 @@ impl FitSetup {
         Ok(self.base_fits.get_or_init(|| base_fits))
     }
 
-    /// Cross-validation split for a fit with these effects.
+    /// Cross-validation split for a fit with these effects: by recordings, or within them if an effect is transient.
     pub fn split(&self, effects: &[EffectTerm]) -> CvSplit {
-        CvSplit::of(&self.rows, effects.iter().any(EffectTerm::is_transient))
+        if !effects.iter().any(EffectTerm::is_transient) {
+            return CvSplit::of(&self.rows);
+        }
+        let mut names: Vec<String> = effects.iter().map(|of| of.name().to_owned()).collect();
+        names.sort_unstable();
+        names.dedup();
+        let mut known = self.transient_splits.lock().unwrap_or_else(PoisonError::into_inner);
+        *known.entry(names).or_insert_with_key(|names| {
+            let named = |name: &String| effects.iter().find(|effect| effect.name() == name);
+            let effects: Vec<EffectTerm> = names.iter().filter_map(named).cloned().collect();
+            CvSplit::within(&self.rows, self.correlation_s(&effects))
+        })
+    }
+
+    /// Longest correlation time in seconds of the residual with these effects; zero where they cannot be fitted.
+    fn correlation_s(&self, effects: &[EffectTerm]) -> f64 {
+        let sample = self.sampled_by_fold(SEARCH_ROWS);
+        let setup = if sample.row_count() < self.row_count() { &sample } else { self };
+        let fit = setup.fit_once(effects, FitOptions::default());
+        let sensors = fit.map_or_else(|_| Vec::new(), |fit| fit.sensors);
+        sensors.iter().map(|sensor| sensor.correlation_s).fold(0.0, f64::max)
     }
 }
 

@@ -12,8 +12,8 @@ const FOLDS: usize = 6;
 /// Maximum number of folds of whole recordings.
 pub const MAX_RECORDING_FOLDS: usize = 10;
 
-/// Slice length of [`CvSplit::Interleaved`] in seconds.
-const SLICE_S: f64 = 0.25;
+/// Step and minimum of the length of a block of [`CvSplit::Interleaved`] in seconds.
+const BLOCK_STEP_S: f64 = 0.25;
 
 /// A range of rows of one recording.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
@@ -40,19 +40,33 @@ pub enum CvSplit {
     Recordings(usize),
     /// Leave a contiguous sixth of every recording out.
     KFold,
-    /// Leave every sixth slice of 0.25 s out, so that every fold sees a part of a transient.
-    Interleaved,
+    /// Leave every sixth block of this many milliseconds out, so that every fold sees a part of a transient.
+    Interleaved {
+        /// Length of a block: at least three correlation times of the residual, so that the rows of a block are nearly independent
+        /// of those that are fitted.
+        block_ms: u32,
+    },
 }
 
 impl CvSplit {
-    /// By recordings where there are several, unless an effect is transient.
-    pub fn of(sensors: &[SensorRows], within_recordings: bool) -> Self {
+    /// By recordings where there are several.
+    pub fn of(sensors: &[SensorRows]) -> Self {
         let recordings = sensors.iter().map(SensorRows::filled_parts).max().unwrap_or(0);
-        match recordings < 2 {
-            _ if within_recordings => Self::Interleaved,
-            true => Self::KFold,
-            false => Self::Recordings(sensors.first().map_or(0, |rows| rows.parts.len())),
+        if recordings < 2 {
+            return Self::KFold;
         }
+        Self::Recordings(sensors.first().map_or(0, |rows| rows.parts.len()))
+    }
+
+    /// Within recordings, for a residual with this correlation time in seconds. Blocks are at most a sixth of the longest recording.
+    pub fn within(sensors: &[SensorRows], correlation_s: f64) -> Self {
+        let parts = sensors.iter().flat_map(|rows| &rows.parts);
+        let spans = parts.filter_map(|part| Some(part.time_s.last()? - part.time_s.first()?));
+        let longest_s = spans.fold(0.0, f64::max) / FOLDS as f64;
+        let steps = (3.0 * correlation_s / BLOCK_STEP_S).ceil();
+        let block_s = BLOCK_STEP_S * steps.min((longest_s / BLOCK_STEP_S).floor()).max(1.0);
+        // The cast saturates.
+        Self::Interleaved { block_ms: (1e3 * block_s).round() as u32 }
     }
 
     /// Folds that hold out every row once. With [`CvSplit::KFold`], `gap_s` seconds on both sides of the test
@@ -63,7 +77,10 @@ impl CvSplit {
                 .map(|fold| self.recording_fold(rows, fold))
                 .collect(),
             Self::KFold => (0..FOLDS).map(|cut| k_fold(rows, cut, gap_s)).collect(),
-            Self::Interleaved => (0..FOLDS).map(|slice| interleaved_fold(rows, slice)).collect(),
+            Self::Interleaved { block_ms } => {
+                let block_s = 1e-3 * f64::from(block_ms);
+                (0..FOLDS).map(|fold| interleaved_fold(rows, fold, block_s)).collect()
+            }
         }
     }
 
@@ -71,7 +88,7 @@ impl CvSplit {
     pub fn fold_of(self, part: usize) -> Option<usize> {
         match self {
             Self::Recordings(count) => Some(part * count.min(MAX_RECORDING_FOLDS) / count.max(1)),
-            Self::KFold | Self::Interleaved => None,
+            Self::KFold | Self::Interleaved { .. } => None,
         }
     }
 
@@ -112,10 +129,10 @@ fn k_fold(rows: &SensorRows, cut: usize, gap_s: f64) -> Fold {
     Fold { training, test }
 }
 
-fn interleaved_fold(rows: &SensorRows, slice: usize) -> Fold {
+fn interleaved_fold(rows: &SensorRows, fold: usize, block_s: f64) -> Fold {
     let slices = rows.parts.iter().enumerate().flat_map(|(part, of)| {
-        let ranges = time_slices(&of.time_s, SLICE_S).into_iter().enumerate();
-        ranges.map(move |(i, rows)| (i % FOLDS == slice, RowRange { part, rows }))
+        let ranges = time_slices(&of.time_s, block_s).into_iter().enumerate();
+        ranges.map(move |(i, rows)| (i % FOLDS == fold, RowRange { part, rows }))
     });
     let (test, training): (Vec<_>, Vec<_>) = slices.partition(|(test_part, _)| *test_part);
     let plain = |list: Vec<(bool, RowRange)>| list.into_iter().map(|(_, range)| range).collect();
@@ -270,6 +287,39 @@ pub fn off_plane_residual(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::effects::ExcitationSeries;
+
+    /// A sensor with recordings of these durations in seconds, at 100 Hz.
+    fn rows(durations_s: &[usize]) -> SensorRows {
+        let part = |seconds: &usize| {
+            let time_s: Vec<f64> = (0..=100 * seconds).map(|row| 0.01 * row as f64).collect();
+            RecordingRows {
+                force_n: vec![Vec::new(); time_s.len()],
+                field_g: vec![Vector3::zeros(); time_s.len()],
+                field_noise_g: Vector3::zeros(),
+                force_noise_n: Vec::new(),
+                track: ExcitationSeries { time_s: time_s.clone(), ..ExcitationSeries::default() },
+                time_s,
+            }
+        };
+        let parts = durations_s.iter().map(part).collect();
+        SensorRows { sensor: 0, forces: Vec::new(), parts, stride: 1 }
+    }
+
+    #[test]
+    fn blocks_are_three_correlation_times_and_at_most_a_sixth_of_a_recording() {
+        let rows = [rows(&[30, 12])];
+        for (correlation_s, block_ms) in
+            [(0.0, 250), (0.01, 250), (0.1, 500), (1.0, 3000), (9.0, 5000)]
+        {
+            let split = CvSplit::within(&rows, correlation_s);
+            assert_eq!(split, CvSplit::Interleaved { block_ms }, "{correlation_s}");
+            let folds = split.folds(&rows[0], 0.0);
+            let tested: usize =
+                folds.iter().flat_map(|fold| &fold.test).map(|r| r.rows.len()).sum();
+            assert_eq!((folds.len(), tested), (6, rows[0].len()));
+        }
+    }
 
     #[test]
     fn recordings_are_held_out_once_in_at_most_ten_folds_of_nearly_equal_size() {

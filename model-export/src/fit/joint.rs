@@ -46,6 +46,8 @@ pub struct SensorFit {
     pub fold_values: Vec<Vec<f64>>,
     /// Bootstrap block length in seconds.
     pub block_s: f64,
+    /// Longest correlation time of the residual in seconds.
+    pub correlation_s: f64,
     /// Whether the priors of the base parameters were centred at nominal, not at the fit of the base alone.
     pub starts_nominal: bool,
 }
@@ -416,6 +418,7 @@ fn sensor_result(
         folds,
         fold_values,
         block_s: state.length_s,
+        correlation_s: state.correlation_s,
         starts_nominal: problem.starts_nominal,
         parameters: problem.parameters.clone(),
     }

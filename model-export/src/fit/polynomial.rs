@@ -311,7 +311,7 @@ fn is_small(forces: usize, degree: usize) -> bool {
 
 fn held_out(rows: &SensorRows, spans: &[(f64, f64)], degree: usize) -> Result<ErrorSums, FitError> {
     let mut sums = ErrorSums::default();
-    for fold in CvSplit::of(std::slice::from_ref(rows), false).folds(rows, 1.0) {
+    for fold in CvSplit::of(std::slice::from_ref(rows)).folds(rows, 1.0) {
         if fold.test.iter().all(|range| range.rows.is_empty()) {
             continue;
         }
@@ -372,7 +372,7 @@ fn error_bars(rows: &SensorRows, model: &Polynomial, options: FitOptions) -> (DM
             loads.map(|(force, field)| field - model.combine(&basis.values(force))).collect()
         })
         .collect();
-    let length_s = block_bootstrap::block_length_s(rows, |part, axis| {
+    let (length_s, _) = block_bootstrap::block_length_s(rows, |part, axis| {
         residuals[part].iter().map(|r| r[axis]).collect()
     });
     let mut bars = DMatrix::zeros(count, 3);

@@ -112,7 +112,7 @@ impl<'a> ScoreTest<'a> {
                     let time_s = rows.parts[part].track.time_s[row];
                     firsts[part] + (time_s / block_s) as usize
                 };
-                let parts = [CvSplit::of(&setup.rows, false), CvSplit::of(&setup.rows, true)]
+                let parts = [CvSplit::of(&setup.rows), CvSplit::within(&setup.rows, 0.0)]
                     .map(|split| part_of(&split.folds(rows, 0.0), &linearisation));
                 let block = linearisation.places().map(place).collect();
                 SensorScore::new(linearisation, block, parts)

@@ -36,6 +36,8 @@ pub struct SensorSolution {
     pub space: FreeDirections,
     /// Block length in seconds.
     pub length_s: f64,
+    /// Longest correlation time of the residual in seconds.
+    pub correlation_s: f64,
     /// Normal equations at the solution, in blocks of time.
     pub blocks: Vec<Block>,
 }
@@ -151,8 +153,8 @@ fn fit_identifiable_from(
     let all = all_rows(problem.rows);
     let from = (&start, Some(sum(start.len(), &blocks)));
     let scaled = minimise(problem, &all, inflation, &space, from, FINE_TOLERANCE)?;
-    let (length_s, blocks) = linearised(problem, &scaled);
-    Ok(SensorSolution { scaled, inflation, space, length_s, blocks })
+    let ((length_s, correlation_s), blocks) = linearised(problem, &scaled);
+    Ok(SensorSolution { scaled, inflation, space, length_s, correlation_s, blocks })
 }
 
 impl SensorSolution {
@@ -229,12 +231,12 @@ fn sum<'b>(size: usize, blocks: impl IntoIterator<Item = &'b Block>) -> Block {
     sum
 }
 
-/// Block length and normal equations in blocks of time.
-fn linearised(problem: &SensorProblem, scaled: &DVector<f64>) -> (f64, Vec<Block>) {
+/// Block length and correlation time of the residual, and normal equations in blocks of time.
+fn linearised(problem: &SensorProblem, scaled: &DVector<f64>) -> ((f64, f64), Vec<Block>) {
     let rows: &SensorRows = problem.rows;
     let evaluated: Vec<(DMatrix<f64>, Vec<f64>)> =
         (0..rows.parts.len()).map(|part| weighted_jacobian(problem, part, scaled)).collect();
-    let length_s = block_bootstrap::block_length_s(rows, |part, axis| {
+    let (length_s, correlation_s) = block_bootstrap::block_length_s(rows, |part, axis| {
         evaluated[part].1.iter().skip(axis).step_by(3).copied().collect()
     });
     let mut list = Vec::new();
@@ -245,5 +247,5 @@ fn linearised(problem: &SensorProblem, scaled: &DVector<f64>) -> (f64, Vec<Block
             list.push(Block::of(derivatives, residuals, 3 * range.start..3 * range.end));
         }
     }
-    (length_s, list)
+    ((length_s, correlation_s), list)
 }

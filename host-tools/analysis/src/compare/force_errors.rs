@@ -5,8 +5,10 @@
 //! that the gripper had at its time; rows in which the device itself detects an event of the model are counted apart; what no
 //! model of the device could remove is not part of the excess.
 
-use crate::compare::cv_plan::{CvPlan, RecordingFolds};
-use crate::compare::{Envelope, FlaggedRows, ForceAxisErrors, Histogram, MissingForces, Trace};
+use crate::compare::cv_plan::{CvPlan, FoldModel, RecordingFolds};
+use crate::compare::{
+    Envelope, ErrorRows, FlaggedRows, ForceAxisErrors, ForceError, Histogram, MissingForces, Trace,
+};
 use crate::notes::UncompensatedEffect;
 use crate::progress;
 use crate::replay::corrections::{Irreducible, SensorCorrections};
@@ -57,6 +59,8 @@ pub struct ForceEvaluation {
     pub uncompensated: Vec<UncompensatedEffect>,
     /// Shape of the inverse of all folds.
     pub shape: Option<GrbfShape>,
+    /// Error over all forces; `None` without forces.
+    pub error: Option<ForceError>,
 }
 
 /// Held-out errors of the forces of fits to a whole campaign, each with its effects, and what the device does
@@ -168,7 +172,8 @@ fn evaluate_plans(
     let points = (POINTS / (4 * traces.len().max(1))).clamp(50, 3000);
     let of_all: Vec<(usize, &f64)> =
         source.origins_s.iter().take(recordings.len()).enumerate().collect();
-    let mut excitation = CampaignExcitation::of(plans);
+    let mut excitation =
+        CampaignExcitation::of(plans.iter().filter_map(|plan| plan.models.first()));
     for some in of_all.chunks(at_once) {
         let some = some.iter().map(|(recording, origin_s)| {
             Ok((*recording, **origin_s, excitation.next(*recording, source.read)?))
@@ -193,7 +198,8 @@ fn evaluate_plans(
         }
     }
     bar.finish_and_clear();
-    let evaluated = built.into_iter().zip(&channels).map(|(built, channels)| match built {
+    let evaluated = plans.iter().zip(built).zip(&channels);
+    let evaluated = evaluated.map(|((plan, built), channels)| match built {
         Err(why) => ForceEvaluation { none: Some(why), ..ForceEvaluation::default() },
         Ok(built) => {
             let any = built.iter().flatten().next();
@@ -202,6 +208,7 @@ fn evaluate_plans(
             let shape = any.map(|built| built.chosen.shape);
             let shape = shape.filter(|shape| shape.centres_across > 0);
             let mut result = ForceEvaluation { uncompensated, shape, ..finish(channels) };
+            result.error = ForceError::of(&result.errors, ErrorRows::of(&plan.validation));
             if result.errors.is_empty() {
                 result.none = Some(MissingForces::NoValidRow);
             }
@@ -277,18 +284,18 @@ fn build_tables(plan: &CvPlan, path: &Path) -> Result<FoldTables> {
 }
 
 /// Excitation of the sensors, recording by recording in their order, where a model corrects recordings by it.
-struct CampaignExcitation {
+pub struct CampaignExcitation {
     /// Sensors with the load cycles so far; empty where nothing is corrected.
     sensors: Vec<(u32, LoadCycleCounter)>,
     before_s: f64,
 }
 
 /// Excitation of each sensor over one recording.
-type RecordingExcitation = Vec<(u32, ExcitationSeries)>;
+pub type RecordingExcitation = Vec<(u32, ExcitationSeries)>;
 
 impl CampaignExcitation {
-    fn of(plans: &[CvPlan]) -> Self {
-        let models = plans.iter().filter_map(|plan| plan.models.first());
+    /// Of the sensors of these models.
+    pub fn of<'m>(models: impl Iterator<Item = &'m FoldModel>) -> Self {
         let mut numbers: Vec<u32> = models
             .filter(|fold| {
                 fold.additions.iter().any(|of| of.error_origin() != ErrorOrigin::Compensated)
@@ -301,7 +308,11 @@ impl CampaignExcitation {
         Self { sensors: sensors.collect(), before_s: 0.0 }
     }
 
-    fn next<'a>(
+    /// Excitation of the next recording; empty where nothing is corrected.
+    ///
+    /// # Errors
+    /// It cannot be read.
+    pub fn next<'a>(
         &mut self,
         place: usize,
         read: impl Fn(usize) -> Result<Cow<'a, Recording>, DataError>,
@@ -357,12 +368,13 @@ impl FoldReplay<'_> {
             let built = built.ok_or_else(|| anyhow!("{}: no tables were built", named.name))?;
             let irreducible =
                 if of.is_reducible { Irreducible::Subtracted } else { Irreducible::Kept };
-            Ok(ReplayInput { models: ReplayModels::of(built), corrections, irreducible })
+            let counts_events = has_event(&self.plans[of.plan].models);
+            let models = ReplayModels::of(built);
+            Ok(ReplayInput { models, corrections, irreducible, counts_events })
         });
         let inputs = inputs.collect::<Result<Vec<ReplayInput>>>()?;
         let stream = RawStream::open_folder(&named.folder, self.alignment)?;
         let mut segments: Vec<Vec<SensorForces>> = vec![Vec::new(); used.len()];
-        let counts_events: Vec<bool> = self.plans.iter().map(has_event).collect();
         let replayed = replay_each(
             &inputs,
             &named.name,
@@ -392,7 +404,7 @@ impl FoldReplay<'_> {
                     let error = row.estimate_n[axis] - row.reference_n[axis];
                     if is_reducible {
                         channel.reducible.add(error);
-                    } else if row.is_disturbed && counts_events[plan] {
+                    } else if row.is_flagged {
                         channel.flagged.add(error);
                     } else {
                         channel.errors.add(row.reference_n[axis], error);
@@ -427,8 +439,7 @@ impl FoldReplay<'_> {
     fn replays(&self) -> Vec<FoldModelReplay> {
         let mut used = Vec::new();
         for (plan, (of, built)) in self.plans.iter().zip(self.built).enumerate() {
-            let additions = of.models.first().map_or(&[][..], |fold| &fold.additions[..]);
-            let is_irreducible = additions.iter().any(|of| of.error_origin().is_irreducible());
+            let is_irreducible = has_origin(&of.models, ErrorOrigin::is_irreducible);
             let kinds: &[bool] = if is_irreducible { &[false, true] } else { &[false] };
             for &(_, model) in of.recordings[self.recording].folds.iter().filter(|_| built.is_ok())
             {
@@ -460,10 +471,15 @@ impl FoldReplay<'_> {
     }
 }
 
-/// Whether the effects of a plan contain an event, whose rows are counted apart where the device detects it.
-fn has_event(plan: &CvPlan) -> bool {
-    let additions = plan.models.first().map_or(&[][..], |fold| &fold.additions[..]);
-    additions.iter().any(|effect| effect.error_origin() == ErrorOrigin::Event)
+/// Whether the effects of a model contain an event, whose rows are counted apart where the device detects it.
+pub fn has_event(folds: &[FoldModel]) -> bool {
+    has_origin(folds, |origin| origin == ErrorOrigin::Event)
+}
+
+/// Whether the models of folds, which have the same effects, contain one of such an origin.
+pub fn has_origin(folds: &[FoldModel], is_origin: impl Fn(ErrorOrigin) -> bool) -> bool {
+    let additions = folds.first().map_or(&[][..], |fold| &fold.additions[..]);
+    additions.iter().any(|effect| is_origin(effect.error_origin()))
 }
 
 /// Sets number, noise and tare of the sensors; a tare only if one model replayed the `whole` recording.

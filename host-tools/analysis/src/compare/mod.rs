@@ -15,9 +15,10 @@ use std::borrow::Cow;
 use crate::data_quality::Finding;
 use crate::notes::Note;
 use crate::statistics::{ErrorStatistics, pooled_rms};
+use model_export::effects::ErrorOrigin;
 use model_export::fit::cross_validation::CvSplit;
 use model_export::inverse::compensation::NotCompensable;
-use model_export::model_file::SensorScale;
+use model_export::model_file::{EffectModel, SensorScale};
 use model_export::recordings::columns::Axis;
 use serde::Serialize;
 use serde::ser::{SerializeStruct, Serializer};
@@ -68,24 +69,99 @@ pub struct ForceError {
     pub reducible_rms_n: f64,
     /// Rows in which the device detects an event of the model.
     pub flagged: Option<FlaggedRows>,
+    /// How the rows are separated from the fit.
+    pub rows: ErrorRows,
+}
+
+/// How the rows of an error are separated from the fit: errors of one model on one campaign are the same number only for the same
+/// rows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ErrorRows {
+    /// Recordings that the model was not fitted to.
+    Unseen,
+    /// Each recording (of more than ten, each tenth of them) is predicted by a fit to the others.
+    LeaveRecordingOut,
+    /// Each sixth of the recordings is predicted by a fit to the rest.
+    LeaveSixthOut,
+    /// Every sixth block of this many milliseconds is predicted by a fit to the rest.
+    LeaveBlocksOut {
+        /// Length of a block.
+        block_ms: u32,
+    },
+    /// Not held out: the model was fitted to them.
+    Fitted,
+    /// The model was fitted to some of them.
+    PartlyFitted,
+}
+
+impl ErrorRows {
+    /// Rows of a validation.
+    pub fn of(validation: &Validation) -> Self {
+        match validation {
+            Validation::UnseenRecordings => Self::Unseen,
+            Validation::NotHeldOut(_) | Validation::Edited(_) => Self::Fitted,
+            Validation::CrossValidated { split, .. } => match *split {
+                CvSplit::Recordings(_) => Self::LeaveRecordingOut,
+                CvSplit::KFold => Self::LeaveSixthOut,
+                CvSplit::Interleaved { block_ms } => Self::LeaveBlocksOut { block_ms },
+            },
+        }
+    }
+
+    /// True where the model was fitted to recordings of the same campaign.
+    pub fn is_of_campaign(self) -> bool {
+        self != Self::Unseen
+    }
+}
+
+/// An effect of a model whose error is not one of the device's model, with its magnitude over all sensors.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct EffectOrigin {
+    /// Name of the effect.
+    pub effect: String,
+    /// Origin of its error.
+    #[serde(skip)]
+    pub origin: ErrorOrigin,
+    /// Magnitude.
+    pub value: f64,
+    /// Unit of the magnitude.
+    pub unit: String,
+}
+
+impl EffectOrigin {
+    /// Those of the effects of a model.
+    pub fn of(effects: &[EffectModel]) -> Vec<Self> {
+        let origin = |effect: &EffectModel| {
+            let origin = effect.term().ok()?.error_origin();
+            (origin != ErrorOrigin::Compensated).then(|| Self {
+                effect: effect.name.clone(),
+                origin,
+                value: effect.value,
+                unit: effect.unit.clone(),
+            })
+        };
+        effects.iter().filter_map(origin).collect()
+    }
 }
 
 impl Serialize for ForceError {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let mut object = serializer.serialize_struct("ForceError", 6)?;
+        let mut object = serializer.serialize_struct("ForceError", 7)?;
         object.serialize_field("rms_n", &self.rms_n)?;
         object.serialize_field("noise_n", &self.noise_n)?;
         object.serialize_field("excess_n", &self.excess_n())?;
         object.serialize_field("recorded_rms_n", &self.recorded_rms_n)?;
         object.serialize_field("irreducible_n", &self.irreducible_n())?;
         object.serialize_field("flagged", &self.flagged)?;
+        object.serialize_field("rows", &self.rows)?;
         object.end()
     }
 }
 
 impl ForceError {
-    /// Pools the forces; `None` without any.
-    pub fn of(forces: &[ForceAxisErrors]) -> Option<Self> {
+    /// Pools the forces over these rows; `None` without any.
+    pub fn of(forces: &[ForceAxisErrors], rows: ErrorRows) -> Option<Self> {
         let pooled = |of: fn(&ForceAxisErrors) -> f64| pooled_rms(forces.iter().map(of));
         let flagged = || forces.iter().filter_map(|force| force.flagged);
         let share = flagged().map(|rows| rows.share).sum::<f64>() / forces.len() as f64;
@@ -98,12 +174,14 @@ impl ForceError {
                 share,
                 rms_n: pooled_rms(flagged().map(|rows| rows.rms_n)),
             }),
+            rows,
         })
     }
 
     /// An error of the device alone, against a reference without errors of its own.
-    pub fn of_device(rms_n: f64, noise_n: f64) -> Self {
-        Self { rms_n, noise_n, recorded_rms_n: rms_n, reducible_rms_n: rms_n, flagged: None }
+    pub fn of_device(rms_n: f64, noise_n: f64, rows: ErrorRows) -> Self {
+        let (recorded_rms_n, reducible_rms_n) = (rms_n, rms_n);
+        Self { rms_n, noise_n, recorded_rms_n, reducible_rms_n, flagged: None, rows }
     }
 
     /// Error that a better model of the device could remove, in newtons: root of the difference of squares.
@@ -166,6 +244,8 @@ pub struct Comparison {
     /// Errors of the forces through the device's code by sensor, lateral then longitudinal. Empty if the
     /// model has no inverse; `no_forces` then has the reason.
     pub forces: Vec<ForceAxisErrors>,
+    /// Effects of the model whose error is not one of the device's model.
+    pub origins: Vec<EffectOrigin>,
     /// Reason for missing forces.
     pub no_forces: Option<MissingForces>,
     /// Covariates that explain the residual: first the selected ones in order of selection, then the others
@@ -212,6 +292,13 @@ pub struct ComparisonProvenance {
     pub sensor_scale: SensorScale,
     /// Names of the compared recordings, each with the SHA-256 over its files.
     pub recordings: Vec<(String, String)>,
+}
+
+impl Comparison {
+    /// Error over all forces; `None` without forces.
+    pub fn force(&self) -> Option<ForceError> {
+        ForceError::of(&self.forces, ErrorRows::of(self.validation.as_ref()?))
+    }
 }
 
 /// Error of a perfect model in gauss, and its components.

@@ -8,7 +8,9 @@ use crate::compare::field_errors::{FieldEvaluation, SensorEvaluation, evaluate_f
 use crate::compare::force_errors::{Recordings, evaluate_forces};
 use crate::compare::pure_error::{drift_at_rest, pure_error};
 use crate::compare::residual_table::{ResidualTable, residual_map, worst_intervals};
-use crate::compare::{Attribution, Comparison, ComparisonProvenance, FieldAxisErrors, NoiseFloor};
+use crate::compare::{
+    Attribution, Comparison, ComparisonProvenance, EffectOrigin, FieldAxisErrors, NoiseFloor,
+};
 use crate::data_quality::model_checks::SensorPrediction;
 use crate::data_quality::{Finding, check_against_model, merge};
 use crate::notes::{Note, collect};
@@ -220,6 +222,7 @@ pub(crate) fn evaluate(
         validation: Some(plan.validation.clone()),
         axes,
         forces: device.errors,
+        origins: EffectOrigin::of(&model.effects),
         no_forces: device.none,
         located: located(&columns, &locator, &ranked, block_s, options.seed),
         not_recorded: not_recorded(&columns),

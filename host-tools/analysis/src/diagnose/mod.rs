@@ -17,9 +17,9 @@
 //! - [`recording_check`]: effects on which recordings can decide, before a diagnosis.
 //! - [`suggestions`]: the next command.
 
-use crate::compare::ForceError;
 use crate::compare::cv_plan::ModelRefit;
 use crate::compare::force_errors::held_out_forces;
+use crate::compare::{EffectOrigin, ForceError};
 use crate::data_quality::Finding;
 use crate::diagnose::candidates::candidates;
 pub use crate::diagnose::formulas::DiscoveredFormula;
@@ -32,13 +32,12 @@ pub use crate::diagnose::residuals::EffectShape;
 use crate::diagnose::residuals::{residuals_against, shapes};
 pub use crate::diagnose::suggestions::{Suggestion, SuggestionKind};
 use crate::diagnose::verdicts::conclude;
-use crate::notes::UncompensatedEffect;
 use anyhow::Result;
 use model_export::effects::{EffectTerm, find};
 use model_export::fit::FitOptions;
 use model_export::fit::campaign::SEARCH_ROWS;
 use model_export::fit::joint::JointFit;
-use model_export::model_file::ModelFile;
+use model_export::model_file::{EffectModel, ModelFile};
 use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
 use serde::Serialize;
@@ -88,8 +87,8 @@ pub struct Diagnosis {
     pub at_floor: bool,
     /// Cross-validated error after every step.
     pub staircase: Vec<StaircaseStep>,
-    /// Effects of the last step that the device does not compensate.
-    pub uncompensated: Vec<UncompensatedEffect>,
+    /// Effects of the last step whose error is not one of the device's model.
+    pub origins: Vec<EffectOrigin>,
     /// Residual removed by each step, in order.
     pub shapes: Vec<EffectShape>,
     /// Proposed recording for what is open, where it was asked for.
@@ -323,10 +322,12 @@ pub fn diagnose(
             selection.stages.iter().map(|stage| (&stage.fit, stage.effects.as_slice())).collect();
         let forces = held_out_forces(campaign, &prepared, &fits, alignment, options)?;
         for (step, forces) in diagnosis.staircase.iter_mut().zip(&forces) {
-            step.force = ForceError::of(&forces.errors);
+            step.force = forces.error;
         }
-        let last = forces.into_iter().next_back();
-        diagnosis.uncompensated = last.map_or_else(Vec::new, |last| last.uncompensated);
+        diagnosis.origins = selection.stages.last().map_or_else(Vec::new, |last| {
+            let recordings = campaign.recordings.len();
+            EffectOrigin::of(&EffectModel::all_of(&last.fit, &last.effects, recordings))
+        });
     }
     if let Some(last) = selection.stages.last().filter(|_| !diagnosis.at_floor) {
         let located = selection.attributed.iter().map(|(_, share)| share).sum();

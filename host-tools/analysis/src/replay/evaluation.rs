@@ -1,6 +1,7 @@
 //! Evaluation of a model on a campaign through the device code, compared with simpler models.
 
 use std::cell::Cell;
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -8,6 +9,7 @@ use anyhow::{Result, bail};
 use device_run::ReplayModels;
 use device_run::networks::NetworkSet;
 use firmware::config::constants;
+use model_export::effects::ErrorOrigin;
 use model_export::inverse::build::{DeviceModel, ModelVariant, build};
 use model_export::inverse::quantise::TableSet;
 use model_export::model_file::ModelFile;
@@ -20,10 +22,13 @@ use model_export::recordings::recording::recording_name;
 use model_export::recordings::stream::RawStream;
 use rayon::prelude::*;
 
-use crate::compare::ForceError;
-use crate::compare::campaign_reader::check_sensor_scale;
+use crate::compare::campaign_reader::{Caching, CampaignReader, check_sensor_scale};
+use crate::compare::cv_plan::{FoldModel, RecordingFolds};
+use crate::compare::force_errors::{CampaignExcitation, has_event, has_origin};
+use crate::compare::{EffectOrigin, ErrorRows, FlaggedRows, ForceError};
 use crate::notes::{Note, UncompensatedEffect};
 use crate::progress;
+use crate::replay::corrections::{Irreducible, SensorCorrections};
 use crate::replay::{AxisReplay, RecordingReplay, ReplayInput, replay_each};
 use crate::statistics::{Moments, pooled_rms};
 
@@ -39,6 +44,10 @@ pub struct ReplayEvaluation {
     pub uncompensated: Option<Vec<RecordingReplay>>,
     /// Fitted functions without networks, if there are networks.
     pub without_networks: Option<Vec<RecordingReplay>>,
+    /// Fitted functions without the field that no model of the device compensates, if the model contains one.
+    pub reducible: Option<Vec<RecordingReplay>>,
+    /// Effects of the model whose error is not one of the device's model.
+    pub origins: Vec<EffectOrigin>,
     /// Names of the recordings that the model was fitted to or a network trained on.
     pub training_recordings: Vec<String>,
     /// Nominal range of each force axis in newtons, both signs.
@@ -74,14 +83,21 @@ pub fn evaluate(
         scale.gauss_per_lsb,
         scale.range_gauss,
     )?;
-    let variant = |tables, float, compensations, networks| ReplayModels {
-        numbers: &header.sensors,
-        tables,
-        compensations,
-        design: file.design.as_ref(),
-        float,
-        gauss_per_lsb: scale.gauss_per_lsb,
-        networks,
+    let fold = [FoldModel { additions: file.effect_terms(model)?, model: file.clone() }];
+    let counts_events = has_event(&fold);
+    let variant = |tables, float, compensations, networks| ReplayInput {
+        models: ReplayModels {
+            numbers: &header.sensors,
+            tables,
+            compensations,
+            design: file.design.as_ref(),
+            float,
+            gauss_per_lsb: scale.gauss_per_lsb,
+            networks,
+        },
+        corrections: &[],
+        irreducible: Irreducible::Kept,
+        counts_events,
     };
     let float = Some(fitted.models.as_slice());
     let mut models = vec![
@@ -95,11 +111,18 @@ pub fn evaluate(
     if networks.is_some() {
         models.push(variant(&fitted.tables, None, &compensations, None));
     }
-    let mut replayed = replay_all(&folders, &models, alignment)?.into_iter();
+    let is_irreducible = has_origin(&fold, ErrorOrigin::is_irreducible);
+    if is_irreducible {
+        let variant = variant(&fitted.tables, None, &compensations, networks.as_ref());
+        models.push(ReplayInput { irreducible: Irreducible::Subtracted, ..variant });
+    }
+    let corrections = corrections(campaign, &fold, alignment)?;
+    let mut replayed = replay_all(&folders, &models, &corrections, alignment)?.into_iter();
     let mut next = || replayed.next().unwrap_or_default();
     let (replayed, linear, nominal) = (next(), next(), next());
     let uncompensated = (!header.effects.is_empty()).then(&mut next);
     let without_networks = networks.as_ref().map(|_| next());
+    let reducible = is_irreducible.then(&mut next);
     let sensors = || replayed.iter().flat_map(|recording| &recording.sensors);
     if sensors().count() == 0 {
         bail!(
@@ -130,6 +153,8 @@ pub fn evaluate(
         nominal,
         uncompensated,
         without_networks,
+        reducible,
+        origins: EffectOrigin::of(&file.effects),
         fitted: replayed,
         training_recordings: training_recordings(&folders, &file, networks.as_ref())?,
         force_range_n: file
@@ -138,6 +163,19 @@ pub fn evaluate(
             .map_or(constants::FORCE_RANGE.value, NominalDesign::force_range_n),
         notes,
     })
+}
+
+impl ReplayEvaluation {
+    /// Which of the recordings the model was fitted to or a network trained on.
+    pub fn rows(&self) -> ErrorRows {
+        let is_fitted =
+            |recording: &&RecordingReplay| self.training_recordings.contains(&recording.name);
+        match self.fitted.iter().filter(is_fitted).count() {
+            0 => ErrorRows::Unseen,
+            fitted if fitted == self.fitted.len() => ErrorRows::Fitted,
+            _ => ErrorRows::PartlyFitted,
+        }
+    }
 }
 
 /// Notes on recordings whose alignment or design differs from the model's.
@@ -159,13 +197,39 @@ fn differences(folders: &[PathBuf], model: &ModelFile, alignment: Alignment) -> 
     Ok(notes)
 }
 
+/// Corrections of each recording, by its folder, for the tables of a model.
+fn corrections(
+    campaign: &Path,
+    fold: &[FoldModel],
+    alignment: Alignment,
+) -> Result<HashMap<PathBuf, Vec<SensorCorrections>>> {
+    let mut all = HashMap::new();
+    let Some(model) = fold.first() else { return Ok(all) };
+    if !has_origin(fold, |origin| origin != ErrorOrigin::Compensated) {
+        return Ok(all);
+    }
+    let source = CampaignReader::open(campaign, alignment, Caching::IfFew)?;
+    let mut excitation = CampaignExcitation::of(fold.iter());
+    for (place, named) in source.names.iter().enumerate() {
+        let excitation = excitation.next(place, |place| source.read(place))?;
+        let first_s = source.read(place)?.time_s.first().copied().unwrap_or(0.0);
+        let folds = vec![(f64::INFINITY, 0)];
+        let recording = RecordingFolds { named: named.clone(), folds };
+        let clock_s = first_s + 1e-6 * alignment.delay_us;
+        let of_sensors = model.corrections(&recording, &excitation, clock_s);
+        all.insert(named.folder.clone(), of_sensors);
+    }
+    Ok(all)
+}
+
 /// Replays all recordings with each of the models, with progress: by model, in the order of the folders.
 ///
 /// # Errors
 /// A recording cannot be read.
-pub fn replay_all(
+fn replay_all(
     folders: &[PathBuf],
-    models: &[ReplayModels],
+    models: &[ReplayInput],
+    corrections: &HashMap<PathBuf, Vec<SensorCorrections>>,
     alignment: Alignment,
 ) -> Result<Vec<Vec<RecordingReplay>>> {
     let message = "replaying on the device's code";
@@ -179,7 +243,9 @@ pub fn replay_all(
             let new = count - before.replace(count);
             progress::show_rows(&bar, message, rows.fetch_add(new, Ordering::Relaxed) + new);
         };
-        let inputs: Vec<ReplayInput> = models.iter().map(|models| (*models).into()).collect();
+        let corrections = corrections.get(folder).map_or(&[][..], Vec::as_slice);
+        let inputs = models.iter().map(|input| ReplayInput { corrections, ..*input });
+        let inputs: Vec<ReplayInput> = inputs.collect();
         let of_each = replay_each(&inputs, &recording_name(folder), stream, done, |_, _| ())?;
         bar.inc(1);
         Ok(of_each)
@@ -265,13 +331,31 @@ pub fn times_real_time(recordings: &[RecordingReplay]) -> f64 {
     recordings.iter().map(|r| r.span_s).sum::<f64>() / spent
 }
 
-/// Error over all forces; NaN without any.
-pub fn pooled_error(recordings: &[RecordingReplay]) -> ForceError {
-    let pooled = pooled(recordings);
-    ForceError::of_device(
-        pooled_rms(pooled.iter().map(|axis| axis.sum(|track| track.error).rms())),
-        pooled_rms(pooled.iter().map(PooledAxis::noise_n)),
-    )
+/// Error over all forces of these rows; NaN without any. `reducible` is without what no model of the device compensates.
+pub fn pooled_error(
+    recordings: &[RecordingReplay],
+    reducible: Option<&[RecordingReplay]>,
+    rows: ErrorRows,
+) -> ForceError {
+    let rms = |recordings: &[RecordingReplay], of: fn(&AxisReplay) -> Moments| {
+        let moments = pooled(recordings).into_iter().map(|axis| axis.sum(of));
+        pooled_rms(moments.filter(|moments| moments.rows() > 0.0).map(|moments| moments.rms()))
+    };
+    let count = |of: fn(&AxisReplay) -> Moments| {
+        pooled(recordings).iter().map(|axis| axis.sum(of).rows()).sum::<f64>()
+    };
+    let (flagged, kept) = (count(|axis| axis.flagged), count(|axis| axis.error));
+    ForceError {
+        rms_n: rms(recordings, |axis| axis.error),
+        noise_n: pooled_rms(pooled(recordings).iter().map(PooledAxis::noise_n)),
+        recorded_rms_n: rms(recordings, |axis| axis.recorded),
+        reducible_rms_n: rms(reducible.unwrap_or(recordings), |axis| axis.error.with(axis.flagged)),
+        flagged: (flagged > 0.0).then(|| FlaggedRows {
+            share: flagged / (flagged + kept),
+            rms_n: rms(recordings, |axis| axis.flagged),
+        }),
+        rows,
+    }
 }
 
 /// Replays with and without networks, on held-out recordings if there are any.
@@ -285,6 +369,11 @@ pub struct NetworkComparison {
 }
 
 impl NetworkComparison {
+    /// Whether the recordings are held out.
+    pub fn rows(&self) -> ErrorRows {
+        if self.held_out { ErrorRows::Unseen } else { ErrorRows::Fitted }
+    }
+
     /// `None` without networks.
     pub fn of(evaluation: &ReplayEvaluation) -> Option<Self> {
         let alone = evaluation.without_networks.as_ref()?;

@@ -39,8 +39,12 @@ const INTERPOLATED_NOISE: f64 = 0.816_496_580_927_726;
 /// Errors of one force of one sensor over one recording, in newtons.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct AxisReplay {
-    /// Device minus reference.
+    /// Device minus corrected reference, without the flagged rows.
     pub error: Moments,
+    /// Device minus reference as recorded.
+    pub recorded: Moments,
+    /// Device minus reference where the device detects an event of its model.
+    pub flagged: Moments,
     /// Floating point minus reference; no rows where it was not evaluated.
     pub float: Moments,
     /// Device minus floating point.
@@ -146,8 +150,8 @@ pub struct ForceSample {
     pub recorded_n: [f64; 2],
     /// The device's estimate in newtons.
     pub estimate_n: [f64; 2],
-    /// Whether the device detects a magnetic disturbance.
-    pub is_disturbed: bool,
+    /// Whether the device detects an event of its model in this row ([`ReplayInput::counts_events`]).
+    pub is_flagged: bool,
     /// Standard deviations predicted by a network, in newtons.
     pub sigma_n: Option<[f64; 2]>,
 }
@@ -161,11 +165,13 @@ pub struct ReplayInput<'a> {
     pub corrections: &'a [SensorCorrections],
     /// Whether the field that no model compensates is subtracted.
     pub irreducible: Irreducible,
+    /// Whether the model contains an event: rows in which the device detects a disturbance are counted apart.
+    pub counts_events: bool,
 }
 
 impl<'a> From<ReplayModels<'a>> for ReplayInput<'a> {
     fn from(models: ReplayModels<'a>) -> Self {
-        Self { models, corrections: &[], irreducible: Irreducible::Kept }
+        Self { models, corrections: &[], irreducible: Irreducible::Kept, counts_events: false }
     }
 }
 
@@ -368,9 +374,10 @@ impl<'a> ModelReplay<'a> {
                 let ideal = ideal.unwrap_or(estimate);
                 let correction = self.input.correction(channels.number, row.raw.time_s);
                 let estimates = (estimate, ideal, network);
-                let sample = self.evaluation.update((i, channels), &row.raw, estimates, correction);
                 let is_disturbed = self.disturbed.get(at).copied().unwrap_or_default();
-                self.samples.extend(sample.map(|sample| ForceSample { is_disturbed, ..sample }));
+                let how = (correction, is_disturbed && self.input.counts_events);
+                let sample = self.evaluation.update((i, channels), &row.raw, estimates, how);
+                self.samples.extend(sample);
             }
         }
     }
@@ -428,7 +435,7 @@ impl<'a> Evaluation<'a> {
         (i, channels): (usize, &SensorChannels),
         row: &RawRow,
         (estimate, ideal, network): (&Estimate, &Estimate, Option<FloatForce>),
-        correction: Option<SampleCorrection>,
+        (correction, is_flagged): (Option<SampleCorrection>, bool),
     ) -> Option<ForceSample> {
         let recorded = channels.forces.map(|force| row.forces[force]);
         if !recorded.iter().all(|n| n.is_finite()) {
@@ -451,7 +458,12 @@ impl<'a> Evaluation<'a> {
         for axis in 0..2 {
             self.noises[i][axis].push(found[axis]);
             let replay = &mut self.result.sensors[i].axes[axis];
+            if is_flagged {
+                replay.flagged.add(found[axis] - reference[axis]);
+                continue;
+            }
             replay.error.add(found[axis] - reference[axis]);
+            replay.recorded.add(found[axis] - recorded[axis]);
             if let Some(float) = float {
                 replay.float.add(float[axis] - reference[axis]);
                 replay.fixed_minus_float.add(found[axis] - float[axis]);
@@ -478,7 +490,7 @@ impl<'a> Evaluation<'a> {
             reference_n: reference,
             recorded_n: recorded,
             estimate_n: found,
-            is_disturbed: false,
+            is_flagged,
             sigma_n,
         })
     }

@@ -6,7 +6,7 @@
 use crate::html::both;
 use crate::html::palette::{self, Role};
 use crate::html::plot::{Failure, Paper, Swatch, centred, figure, key, letters, px, stroke};
-use crate::text::comparison::{force_headline, validation, verdict};
+use crate::text::comparison::{force_headline, force_origins, validation, verdict};
 use crate::text::findings;
 use analysis::compare::Comparison;
 use analysis::numbers::{number, percent};
@@ -87,6 +87,7 @@ pub fn head(comparison: &Comparison) -> Markup {
                 dt { "Campaign" } dd { (comparison.campaign) }
             }
             @if !headline.is_empty() { p.verdict { (headline) } }
+            @for origin in force_origins(comparison) { p { (origin) } }
             @for (role, letter, model) in &models {
                 p.verdict {
                     @if two { (initial(*role, letter)) ": " }

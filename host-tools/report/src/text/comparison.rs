@@ -47,6 +47,9 @@ pub fn format_report(comparison: &Comparison) -> String {
     let headline = force_headline(comparison);
     if !headline.is_empty() {
         page += &terminal::paragraph(&headline);
+        for sentence in force_origins(comparison) {
+            page += &terminal::paragraph(&sentence);
+        }
         page += &terminal::paragraph(force_error::TERMS);
     }
     page + &colored(verdict_style(comparison), &verdict(comparison))
@@ -54,20 +57,25 @@ pub fn format_report(comparison: &Comparison) -> String {
 
 /// The force error, of the baseline and of the model where there are two; empty without forces.
 pub fn force_headline(comparison: &Comparison) -> String {
-    let Some(error) = ForceError::of(&comparison.forces) else {
+    let Some(error) = comparison.force() else {
         return String::new();
     };
-    let baseline = comparison.other.as_ref().and_then(|other| ForceError::of(&other.forces));
-    let models = std::iter::once(comparison).chain(comparison.other.as_deref());
-    let is_fitted = |model: &Comparison| {
-        matches!(model.validation, Some(Validation::NotHeldOut(_) | Validation::Edited(_)))
-    };
-    let rows =
-        if models.into_iter().any(is_fitted) { "NOT held out" } else { force_error::HELD_OUT };
+    let baseline = comparison.other.as_ref().and_then(|other| other.force());
     match baseline {
-        Some(baseline) => force_error::change_of(rows, &baseline, &error),
-        None => force_error::of(rows, &error),
+        Some(baseline) if baseline.rows == error.rows => force_error::change(&baseline, &error),
+        Some(baseline) => format!(
+            "{} Baseline, on other rows: {}",
+            force_error::headline(&error),
+            force_error::headline(&baseline)
+        ),
+        None => force_error::headline(&error),
     }
+}
+
+/// What of the force error is not of the device's model.
+pub fn force_origins(comparison: &Comparison) -> Vec<String> {
+    let error = comparison.force();
+    error.map_or_else(Vec::new, |error| force_error::origins(&error, &comparison.origins))
 }
 
 fn colored(style: Style, text: &str) -> String {
@@ -357,9 +365,10 @@ fn cross_validation(split: CvSplit, seen: usize, refitted: usize, all: usize) ->
         CvSplit::KFold => {
             "one recording: each sixth is predicted by a fit to the rest; no claim about other recordings"
         }
-        CvSplit::Interleaved => {
-            "an effect is transient: every sixth block of 0.25 s is predicted by a fit to the rest"
-        }
+        CvSplit::Interleaved { block_ms } => &format!(
+            "an effect is transient: every sixth block of {} s is predicted by a fit to the rest",
+            numbers::decimal(1e-3 * f64::from(block_ms), 3)
+        ),
     };
     let some = if refitted < seen {
         format!(
@@ -436,7 +445,7 @@ fn side_by_side(one: &Comparison, other: &Comparison) -> String {
     for model in [one, other] {
         let (rms, floor) = (rms_g(&model.axes), floor_g(&model.axes));
         let first = model.located.iter().find(|located| located.chosen);
-        let force = ForceError::of(&model.forces);
+        let force = model.force();
         let newtons = |figure: fn(&ForceError) -> f64| {
             force.as_ref().map_or_else(|| "-".to_owned(), |force| format!("{:.3}", figure(force)))
         };
@@ -477,7 +486,8 @@ pub fn to_json(comparison: &Comparison) -> Value {
         "findings": findings.collect::<Vec<_>>(),
         "judged": validation(comparison),
         "axes": comparison.axes.iter().map(axis_json).collect::<Vec<_>>(),
-        "force": ForceError::of(&comparison.forces),
+        "force": comparison.force(),
+        "force_origins": force_origins(comparison),
         "forces": comparison.forces.iter().map(force_json).collect::<Vec<_>>(),
         "where": comparison.located,
         "not_recorded": comparison.not_recorded,
@@ -564,13 +574,19 @@ fn conclusion(comparison: &Comparison) -> String {
                 dependence(&lead.covariate, &lead.words)
             );
         }
-        let force = ForceError::of(&comparison.forces);
-        let excess = force.and_then(|force| force_error::larger_excess(&force, &[]));
-        return format!(
-            "At the noise floor: {error}, the floor is {}. The field shows no missing effect.{}",
-            field(floor),
-            excess.unwrap_or_default()
-        );
+        let excess = comparison.force().as_ref().and_then(force_error::larger_excess);
+        return match excess {
+            None => format!(
+                "At the noise floor: {error}, the floor is {}. The field shows no missing effect.",
+                field(floor)
+            ),
+            Some(excess) => {
+                format!(
+                    "Field at its noise floor: {error}, the floor is {}. {excess}",
+                    field(floor)
+                )
+            }
+        };
     }
     let located: f64 = chosen.iter().map(|l| l.share).sum();
     let unexplained = 1.0 - located;
@@ -726,6 +742,9 @@ mod tests {
             sensor: 0,
             axis: model_export::recordings::columns::Axis::X,
             error: ErrorStatistics { rms, ..ErrorStatistics::default() },
+            recorded_rms: rms,
+            reducible_rms: rms,
+            flagged: None,
             tared_rms: None,
             floor: 0.4,
             explainable: 0.0,
@@ -737,10 +756,11 @@ mod tests {
         };
         let unseen = || of(0.5, Validation::UnseenRecordings);
         let fitted = || of(0.5, Validation::NotHeldOut("no".to_owned()));
-        assert!(force_headline(&unseen()).starts_with("Force error (held out, "));
-        assert!(force_headline(&fitted()).starts_with("Force error (NOT held out, "));
+        assert!(force_headline(&unseen()).starts_with("Force error (held out: "));
+        assert!(force_headline(&fitted()).starts_with("Force error (NOT held out: "));
         let both = Comparison { other: Some(Box::new(fitted())), ..unseen() };
-        assert!(force_headline(&both).starts_with("Force error (NOT held out, "));
+        let headline = force_headline(&both);
+        assert!(headline.contains("Baseline, on other rows: Force error (NOT held out: "));
         assert_eq!(force_headline(&Comparison::default()), "");
     }
 }

@@ -38,6 +38,7 @@ pub fn format_report(diagnosis: &Diagnosis) -> String {
         page += &styled(WARNING, INTERRUPTED_NOTE);
     }
     page += &paragraph(&force_headline(diagnosis));
+    page += &force_origins(diagnosis).iter().map(|origin| paragraph(origin)).collect::<String>();
     let style = if diagnosis.at_floor { GOOD } else { WARNING };
     page += &styled(style, &verdict(diagnosis));
     if let Some(proposal) = &diagnosis.proposal {
@@ -177,11 +178,12 @@ fn step_table(diagnosis: &Diagnosis) -> String {
     format!("{table}\n{}{rise}\n", paragraph(STEP_NOTE))
 }
 
-/// Explains steps that lower the error of the field and raise that of the forces; `None` without one.
+/// Steps that lower the error of the field and raise that of the forces; `None` without one.
 pub fn rising_force(steps: &[StaircaseStep]) -> Option<String> {
     let raises = |pair: &&[StaircaseStep]| match (pair[0].force, pair[1].force) {
         (Some(before), Some(after)) => {
-            pair[1].held_out_rms_g < pair[0].held_out_rms_g && after.rms_n > before.rms_n
+            let rises = after.excess_n() > before.excess_n() && !force_error::is_at_noise(&after);
+            pair[1].held_out_rms_g < pair[0].held_out_rms_g && rises
         }
         _ => false,
     };
@@ -189,8 +191,7 @@ pub fn rising_force(steps: &[StaircaseStep]) -> Option<String> {
         steps.windows(2).filter(raises).map(|pair| pair[1].added.join(" or ")).collect();
     (!raising.is_empty()).then(|| {
         format!(
-            "With {} the error of the forces rises although that of the field falls: what is still missing then acts on the forces \
-             alone, where the errors of two effects had partly cancelled. The last step counts.",
+            "With {} the excess of the forces rises although the error of the field falls.",
             raising.join(" and with ")
         )
     })
@@ -209,6 +210,12 @@ pub fn force_headline(diagnosis: &Diagnosis) -> String {
         (Some(only), _) => force_error::headline(&only),
         (None, _) => String::new(),
     }
+}
+
+/// What of the force error is not of the device's model.
+pub fn force_origins(diagnosis: &Diagnosis) -> Vec<String> {
+    let last = diagnosis.staircase.last().and_then(|last| last.force);
+    last.map_or_else(Vec::new, |last| force_error::origins(&last, &diagnosis.origins))
 }
 
 /// Accepted effects: estimated and typical magnitude, evidence, physics.
@@ -570,19 +577,14 @@ pub const SHADOW_NOTE: &str = "Shadow: significant by itself, but it explains pa
 pub fn at_floor_note(diagnosis: &Diagnosis) -> String {
     let with = if diagnosis.accepted.is_empty() { "" } else { " with what was found" };
     let force = diagnosis.staircase.last().and_then(|last| last.force);
-    let in_newtons = match force {
-        None => String::new(),
-        Some(force) => force_error::larger_excess(&force, &diagnosis.uncompensated).unwrap_or_else(|| format!(
-            " The same margin in newtons is an excess of {:.2} times the noise; it contains the error of the device's \
-             tables and fixed-point arithmetic, and that of the noise's estimate.",
-            force_error::margin()
-        )),
-    };
-    format!(
-        "AT NOISE FLOOR{with}: the error of the field is within {:.0} % of its noise floor, and a further effect would fit \
-         noise.{in_newtons}",
-        100.0 * (AT_FLOOR - 1.0),
-    )
+    let field = format!(
+        "the error of the field is within {:.0} % of its noise floor",
+        100.0 * (AT_FLOOR - 1.0)
+    );
+    match force.as_ref().and_then(force_error::larger_excess) {
+        None => format!("AT NOISE FLOOR{with}: {field}, and a further effect would fit noise."),
+        Some(excess) => format!("FIELD AT NOISE FLOOR{with}: {field}. {excess}"),
+    }
 }
 
 /// True for found effects, alone or tied.
@@ -973,6 +975,7 @@ pub fn significance_note(diagnosis: &Diagnosis) -> String {
 mod tests {
     use super::*;
     use crate::text::diagnosis_fixture::{formula, full, verdict_of};
+    use analysis::compare::ErrorRows;
 
     #[test]
     fn equivalent_set_lists_reasons_and_experiments() {
@@ -1077,11 +1080,11 @@ mod tests {
     }
 
     #[test]
-    fn rising_force_error_is_explained() {
+    fn rising_force_error_is_stated() {
         let step = |added: &str, rms_g: f64, rms_n: f64| StaircaseStep {
             added: vec![added.to_owned()],
             held_out_rms_g: rms_g,
-            force: Some(ForceError::of_device(rms_n, 0.4)),
+            force: Some(ForceError::of_device(rms_n, 0.4, ErrorRows::LeaveRecordingOut)),
             floor_g: 0.16,
         };
         let steps = [
@@ -1091,7 +1094,7 @@ mod tests {
         ];
         let note = rising_force(&steps).unwrap();
         assert!(
-            note.starts_with("With magnet_temperature the error of the forces rises"),
+            note.starts_with("With magnet_temperature the excess of the forces rises"),
             "{note}"
         );
         assert_eq!(rising_force(&steps[1..]), None);

@@ -3,7 +3,7 @@
 use model_export::effects::find;
 use model_export::model_file::{EffectModel, FittedValue, SensorEffect};
 
-use analysis::compare::{Bin, ForceError};
+use analysis::compare::{Bin, ErrorRows, ForceError};
 use analysis::diagnose::*;
 
 /// A verdict without numbers.
@@ -86,7 +86,11 @@ pub fn full() -> Diagnosis {
     let stair = |added: &[&str], rms: f64| StaircaseStep {
         added: added.iter().map(|&name| name.to_owned()).collect(),
         held_out_rms_g: rms,
-        force: (rms > 1.0).then_some(ForceError::of_device(0.6 * rms, 0.4)),
+        force: (rms > 1.0).then_some(ForceError::of_device(
+            0.6 * rms,
+            0.4,
+            ErrorRows::LeaveRecordingOut,
+        )),
         floor_g: 0.159,
     };
     let pair = ["magnet_temperature", "sensor_temperature"];

@@ -1,6 +1,6 @@
 //! Text and JSON of a model with other effects.
 
-use analysis::compare::AT_FLOOR;
+use analysis::compare::{AT_FLOOR, EffectOrigin};
 use analysis::diagnose::candidates::MIN_GAIN;
 use analysis::edit_model::ModelEdit;
 use analysis::numbers;
@@ -40,8 +40,8 @@ fn clock_sentence(edit: &ModelEdit) -> String {
         return String::new();
     };
     terminal::paragraph(&format!(
-        "{} is a difference of two clocks: its part of the forces' excess is of the recordings, and no device compensates it. Align the \
-         clocks instead: `cargo magpie fit` with --delay-ms {:.2}, in addition to a delay that was given.",
+        "{} is a difference of two clocks, which no device needs to compensate. Align the clocks instead: `cargo magpie fit` with \
+         --delay-ms {:.2}, in addition to a delay that was given.",
         CLOCK_SKEW.id, size.value
     ))
 }
@@ -171,15 +171,17 @@ fn error_table(edit: &ModelEdit) -> String {
     }
     terminal::right_align(&mut table, 2);
     let how = match after.split {
-        CvSplit::Recordings(_) => "cross-validated by recording",
+        CvSplit::Recordings(_) => "cross-validated by recording".to_owned(),
         CvSplit::KFold if edit.campaign.recordings.len() == 1 => {
-            "cross-validated on sixths of the only recording: no claim beyond it"
+            "cross-validated on sixths of the only recording: no claim beyond it".to_owned()
         }
-        CvSplit::Interleaved => {
-            "cross-validated on interleaved blocks of 0.25 s: an effect is transient within recordings"
-        }
+        CvSplit::Interleaved { block_ms } => format!(
+            "cross-validated on interleaved blocks of {} s: an effect is transient within recordings",
+            numbers::decimal(1e-3 * f64::from(block_ms), 3)
+        ),
         CvSplit::KFold => {
             "cross-validated on sixths of every recording: an effect is specific to recordings"
+                .to_owned()
         }
     };
     format!("Held-out field error, {how}\n{table}\n{}", summary(edit))
@@ -199,11 +201,17 @@ fn summary(edit: &ModelEdit) -> String {
     ))
 }
 
+/// What of the force error is not of the device's model.
+fn force_origins(edit: &ModelEdit) -> Vec<String> {
+    let origins = EffectOrigin::of(&edit.model.effects);
+    edit.force.map_or_else(Vec::new, |[_, after]| force_error::origins(&after, &origins))
+}
+
 /// The force error before and after, and the effects that the device does not compensate.
 fn force_sentence(edit: &ModelEdit) -> String {
     let uncompensated = edit.uncompensated.iter().map(notes::uncompensated);
     let lines = edit.force.iter().map(|[before, after]| force_error::change(before, after));
-    let lines = lines.chain(uncompensated.map(|line| format!("  {line}")));
+    let lines = lines.chain(force_origins(edit)).chain(uncompensated);
     lines.map(|line| terminal::paragraph(&line)).collect()
 }
 
@@ -304,12 +312,11 @@ fn gain(edit: &ModelEdit) -> String {
         format!("but is still {ratio:.1} times the floor: another effect is missing")
     };
     let force = edit.force.filter(|_| ratio <= AT_FLOOR);
-    let force =
-        force.and_then(|[_, after]| force_error::larger_excess(&after, &edit.uncompensated));
+    let force = force.and_then(|[_, after]| force_error::larger_excess(&after));
+    let force = force.map_or_else(String::new, |excess| format!(" {excess}"));
     format!(
-        "With {added} the error of the field decreases by {:.1} % {remainder}.{}",
-        100.0 * reduction,
-        force.unwrap_or_default()
+        "With {added} the error of the field decreases by {:.1} % {remainder}.{force}",
+        100.0 * reduction
     )
 }
 
@@ -339,6 +346,7 @@ pub fn to_json(edit: &ModelEdit) -> Value {
         "floor_g": edit.after.1.tally().floor_g(),
         "effects": effects.collect::<Vec<_>>(),
         "force": edit.force.map(|[before, after]| json!({ "before": before, "after": after })),
+        "force_origins": force_origins(edit),
         "uncompensated": edit.uncompensated.iter().map(notes::uncompensated).collect::<Vec<_>>(),
         "verdict": verdict(edit),
         "notices": notes::texts(&edit.notes),

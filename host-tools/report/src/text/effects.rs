@@ -45,7 +45,7 @@ fn compensation(effect: &Effect) -> String {
         DeviceForm::Settled => {
             "not over time; the device's tables are those of the final state.".to_owned()
         }
-        DeviceForm::Bench(remedy) => {
+        DeviceForm::Bench { remedy, .. } => {
             format!("not needed on the device: it is an error of the test bench; {remedy}.")
         }
         DeviceForm::Never(why) => format!("not on the device: {why}."),

@@ -1,6 +1,7 @@
 //! Text and JSON of a replay.
 
 use analysis::benchmark::MIN_BENEFIT;
+use analysis::compare::ForceError;
 use analysis::replay::evaluation::{
     NetworkComparison, PooledAxis, ReplayEvaluation, coverage_fractions, pooled, pooled_error,
     rejected_fraction, times_real_time,
@@ -53,16 +54,11 @@ fn force_table(evaluation: &ReplayEvaluation) -> String {
     }
     terminal::right_align(&mut table, 2);
     let rows: u64 = evaluation.fitted.iter().map(|r| r.rows).sum();
-    let error = pooled_error(&evaluation.fitted);
-    let recordings = evaluation.fitted.iter();
-    let is_training = |name: &String| evaluation.training_recordings.contains(name);
-    let seen = recordings.filter(|recording| is_training(&recording.name)).count();
-    let how = match (seen, evaluation.fitted.len()) {
-        (0, _) => "held out",
-        (seen, all) if seen == all => "NOT held out: the model was fitted to these recordings",
-        _ => "partly NOT held out: the model was fitted to some of these recordings",
-    };
-    let headline = terminal::paragraph(&force_error::of(how, &error));
+    let error = force(evaluation);
+    let mut headline = terminal::paragraph(&force_error::headline(&error));
+    for sentence in force_error::origins(&error, &evaluation.origins) {
+        headline += &terminal::paragraph(&sentence);
+    }
     format!(
         "{headline}\nForce error of the device code in newtons: device minus (linearly interpolated) reference. Noise:\n\
          the error due to white noise of sensor and reference alone.\n{table}\n\
@@ -76,10 +72,15 @@ fn force_table(evaluation: &ReplayEvaluation) -> String {
     )
 }
 
+/// Error over all forces.
+fn force(evaluation: &ReplayEvaluation) -> ForceError {
+    pooled_error(&evaluation.fitted, evaluation.reducible.as_deref(), evaluation.rows())
+}
+
 /// Benefit of the compensation on the device.
 fn without_compensation(evaluation: &ReplayEvaluation) -> Option<String> {
     let without = evaluation.uncompensated.as_ref()?;
-    let (with, without) = (pooled_error(&evaluation.fitted), pooled_error(without));
+    let (with, without) = (force(evaluation), pooled_error(without, None, evaluation.rows()));
     Some(format!(
         "Excess over noise without the compensation of the model's effects {:.3} N, with it {:.3} N.\n\n",
         without.excess_n(),
@@ -234,8 +235,12 @@ pub fn to_json(evaluation: &ReplayEvaluation) -> Value {
         }).collect::<Vec<_>>(),
         "linear": pooled(&evaluation.linear).iter().map(sensor_json).collect::<Vec<_>>(),
         "nominal": pooled(&evaluation.nominal).iter().map(sensor_json).collect::<Vec<_>>(),
-        "force": pooled_error(&evaluation.fitted),
-        "uncompensated_force": evaluation.uncompensated.as_deref().map(pooled_error),
+        "force": force(evaluation),
+        "force_origins": force_error::origins(&force(evaluation), &evaluation.origins),
+        "uncompensated_force": evaluation
+            .uncompensated
+            .as_deref()
+            .map(|without| pooled_error(without, None, evaluation.rows())),
         "networks": network_json(evaluation),
         "notes": notes::texts(&evaluation.notes),
         "rows": evaluation.fitted.iter().map(|r| r.rows).sum::<u64>(),
@@ -323,8 +328,8 @@ fn network_report(evaluation: &ReplayEvaluation) -> Option<String> {
         ]);
     }
     terminal::right_align(&mut table, 2);
-    let [without_n, with_n] =
-        [&comparison.without, &comparison.with].map(|replays| pooled_error(replays).rms_n);
+    let [without_n, with_n] = [&comparison.without, &comparison.with]
+        .map(|replays| pooled_error(replays, None, comparison.rows()).rms_n);
     Some(format!(
         "Recurrent networks, in newtons, on {}:\n\
          RMSE without and with networks, with networks in floating point, predicted standard deviation and\n\
@@ -373,6 +378,7 @@ fn network_json(evaluation: &ReplayEvaluation) -> Value {
     json!({
         "held_out": comparison.held_out, "sensors": rows,
         "coverage": coverage(&comparison.with).as_ref().map(coverage_json),
-        "without_force": pooled_error(&comparison.without), "force": pooled_error(&comparison.with),
+        "without_force": pooled_error(&comparison.without, None, comparison.rows()),
+        "force": pooled_error(&comparison.with, None, comparison.rows()),
     })
 }

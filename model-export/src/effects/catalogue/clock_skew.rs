@@ -41,7 +41,10 @@ pub const EFFECT: Effect = Effect {
         meaning: "the field is recorded later than the reference says",
         shared: true,
     }),
-    device: DeviceForm::Bench("set --delay-ms or correct the clocks"),
+    device: DeviceForm::Bench {
+        error: "the reference's clock differs from the board's by",
+        remedy: "set --delay-ms or correct the clocks",
+    },
     is_transient: false,
     reads: &[],
     apply,

@@ -39,7 +39,10 @@ pub const EFFECT: Effect = Effect {
         meaning: "steady wander of the reference's lateral zero",
         shared: true,
     }),
-    device: DeviceForm::Bench("correct the reference sensor"),
+    device: DeviceForm::Bench {
+        error: "the reference drifts by",
+        remedy: "correct the reference sensor",
+    },
     is_transient: false,
     reads: &[],
     apply,

@@ -38,7 +38,10 @@ pub const EFFECT: Effect = Effect {
         meaning: "time constant of the reference's own filter",
         shared: true,
     }),
-    device: DeviceForm::Bench("correct the reference sensor"),
+    device: DeviceForm::Bench {
+        error: "the reference's own filter delays it by",
+        remedy: "correct the reference sensor",
+    },
     is_transient: false,
     reads: &[],
     apply,

@@ -101,7 +101,7 @@ impl OwnedCompensation {
                     DeviceForm::Force(form) => own.force.push(converter.force(form, values)?),
                     DeviceForm::Tables
                     | DeviceForm::Settled
-                    | DeviceForm::Bench(_)
+                    | DeviceForm::Bench { .. }
                     | DeviceForm::Never(_) => {}
                 },
                 // A polynomial, the only base with channel-wise effects, has no inverse.

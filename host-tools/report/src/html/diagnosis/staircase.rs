@@ -34,7 +34,7 @@ pub fn section(diagnosis: &Diagnosis) -> Section {
                 figcaption { (bars.caption) }
                 (plot(stairs, &bars))
                 (key(&[
-                    (Swatch::Full, palette::FIRST, "RMS, held out".to_owned()),
+                    (Swatch::Full, palette::FIRST, "held out".to_owned()),
                     (Swatch::Mark, palette::INK, bars.floor.to_owned()),
                 ]))
             }
@@ -66,21 +66,24 @@ impl Bars {
         let forces: Option<Vec<_>> = stairs.iter().map(|stair| stair.force).collect();
         match forces {
             Some(forces) => Self {
-                caption: "Held-out force error through the device's code, RMS over all forces; above each bar the excess over the noise",
-                axis: "RMS in newtons",
-                floor: "noise: error of a perfect model",
+                caption: "Held-out force error through the device's code: excess over the noise, over all forces",
+                axis: "excess in newtons",
+                floor: "noise alone",
                 list: forces
                     .iter()
-                    .map(|of| (of.rms_n, of.noise_n, format!("{} N", number(of.excess_n()))))
+                    .map(|of| (of.excess_n(), of.noise_n, format!("{} N", number(of.excess_n()))))
                     .collect(),
             },
             None => Self {
-                caption: "Held-out error of the field over all sensors, in gauss; above each bar in floors",
+                caption: "Held-out error of the field over all sensors",
                 axis: "RMS in gauss",
                 floor: "floor: residual of a perfect model",
                 list: stairs
                     .iter()
-                    .map(|s| (s.held_out_rms_g, s.floor_g, format!("{} x", number(floors(s)))))
+                    .map(|s| {
+                        let label = format!("{} G", number(s.held_out_rms_g));
+                        (s.held_out_rms_g, s.floor_g, label)
+                    })
                     .collect(),
             },
         }

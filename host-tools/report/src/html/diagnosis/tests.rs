@@ -2,7 +2,7 @@ use super::*;
 use crate::html::fixture::comparison;
 use crate::html::page_with;
 use crate::text::diagnosis_fixture::full;
-use analysis::compare::ForceError;
+use analysis::compare::{ErrorRows, ForceError};
 
 fn page(diagnosis: &Diagnosis) -> String {
     page_with(&comparison(1, 4, 4.0), &sections(diagnosis))
@@ -46,7 +46,7 @@ fn staircase_has_a_bar_with_floors_per_step() {
 
     // With forces of every step: 0.5^2 - 0.4^2 = 0.3^2.
     let mut with_forces = full();
-    let force = Some(ForceError::of_device(0.5, 0.4));
+    let force = Some(ForceError::of_device(0.5, 0.4, ErrorRows::LeaveRecordingOut));
     with_forces.staircase.iter_mut().for_each(|step| step.force = force);
     let page = page_with(&comparison(1, 4, 4.0), &sections(&with_forces));
     let stairs = section(&page, "staircase");

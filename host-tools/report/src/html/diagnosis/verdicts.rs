@@ -18,6 +18,7 @@ pub fn verdict_section(diagnosis: &Diagnosis) -> Section {
     let body = html! {
         @if diagnosis.is_interrupted { p { strong { (text::INTERRUPTED_NOTE) } } }
         @if !headline.is_empty() { p.verdict { (headline) } }
+        @for origin in text::force_origins(diagnosis) { p { (origin) } }
         p.verdict { (text::verdict(diagnosis)) }
         @if diagnosis.at_floor { p { strong { (text::at_floor_note(diagnosis)) } } }
         (next(diagnosis))
