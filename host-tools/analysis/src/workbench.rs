@@ -53,7 +53,7 @@ pub struct WorkbenchModel {
     pub model: ModelFile,
     /// Its errors on held-out rows.
     pub comparison: Comparison,
-    /// What every other effect would add, largest first.
+    /// What every other effect would add, smallest predicted force error first.
     pub candidates: Vec<ScoredEffect>,
     stage: FittedModel,
 }
@@ -88,6 +88,9 @@ pub struct Interval {
 pub struct ScoredEffect {
     /// Name of the effect.
     pub effect: String,
+    /// Predicted excess of the force error over its noise with the effect, in newtons, by the linearised model; `None` where the
+    /// device computes no forces.
+    pub excess_n: Option<f64>,
     /// Predicted reduction of the held-out squared error of the field, as a fraction, by the linearised model.
     pub gain: f64,
     /// p-value adjusted for all effects.
@@ -205,7 +208,6 @@ impl Workbench {
         let model = ModelFile::with_effects(&self.campaign, &self.setup, &fit, effects, provenance);
         let findings = merge(self.findings.clone(), model_findings(&self.reader, &model, effects)?);
         let stage = FittedModel { effects: effects.to_vec(), fit };
-        let candidates = self.screen(&stage);
         let name = effects.iter().map(EffectTerm::name).collect::<Vec<_>>().join(" + ");
         let name = if name.is_empty() { "base".to_owned() } else { name };
         let comparison = evaluate(
@@ -218,6 +220,7 @@ impl Workbench {
             &mut notes,
         )?;
         let comparison = Comparison { findings, notes, ..comparison };
+        let candidates = self.screen(&stage, comparison.force());
         Ok(WorkbenchModel { effects: effects.to_vec(), model, comparison, candidates, stage })
     }
 
@@ -290,7 +293,7 @@ impl Workbench {
     }
 
     /// Scores the effects that may be missing from a model.
-    fn screen(&self, stage: &FittedModel) -> Vec<ScoredEffect> {
+    fn screen(&self, stage: &FittedModel, force: Option<ForceError>) -> Vec<ScoredEffect> {
         let block_s = block_s(&residual_tables(&self.campaign, &self.sample, stage));
         let around = ScoreTest::new(&self.sample, &stage.effects, &stage.fit, block_s);
         let others: Vec<EffectTerm> = self
@@ -302,10 +305,16 @@ impl Workbench {
         let screened = screen(&around, &others, self.options.seed);
         let scored = screened.iter().map(|one| ScoredEffect {
             effect: one.candidate.name().to_owned(),
+            excess_n: force.map(|force| force.excess_less(one.evidence.force_reduction_n2())),
             gain: one.evidence.gain(),
             p_adjusted: one.p_adjusted,
             is_significant: one.is_significant(),
         });
-        scored.collect()
+        let mut scored: Vec<ScoredEffect> = scored.collect();
+        // Where there are no forces, the order of the screening is kept.
+        scored.sort_by(|a, b| {
+            a.excess_n.unwrap_or(0.0).total_cmp(&b.excess_n.unwrap_or(0.0))
+        });
+        scored
     }
 }

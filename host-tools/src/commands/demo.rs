@@ -235,8 +235,9 @@ fn error_table(
     notes.extend(text::diagnosis::rising_force(&diagnosis.staircase));
     let note = if notes.is_empty() { String::new() } else { terminal::paragraph(&notes.join(" ")) };
     let heading = terminal::paragraph(&format!(
-        "4. Add. Force error (held out, device's code, RMS over all forces), its noise, and the excess over it, which a better model \
-         of the device could remove. Held-out rows: {held_out}."
+        "4. Add. {} {} Held-out rows: {held_out}.",
+        text::diagnosis::force_headline(diagnosis),
+        text::force_error::TERMS
     ));
     format!("{heading}{table}\n{note}")
 }

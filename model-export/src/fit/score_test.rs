@@ -16,8 +16,9 @@ use crate::fit::linearisation::{COLUMN_HEIGHT, Linearisation, NormalEquations};
 use crate::fit::problem::SensorProblem;
 use crate::fit::rows::SensorRows;
 use crate::fit::tall_products::{columns, gram, products};
+use crate::physics::sensor::force_per_field;
 use crate::physics::{FieldResponse, PhysicalState};
-use nalgebra::{DMatrix, DVector, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix2x3, Matrix3, Vector3};
 use rayon::prelude::*;
 
 /// Rows of a recording that are used.
@@ -43,6 +44,9 @@ pub struct ScoreTest<'a> {
 pub struct CandidateScore {
     /// Held-out weighted squared residual of each fold: without the candidate, with it.
     pub folds: Vec<(f64, f64)>,
+    /// Held-out mean square of the force error that the residual causes in the device's inverse, in N^2 over all sensors and both
+    /// forces: without the candidate, with it.
+    pub force_n2: [f64; 2],
     /// Explained sum of squares in units of the noise variance, over all sensors.
     pub explained: f64,
     /// Number of coefficients.
@@ -83,6 +87,12 @@ impl CandidateScore {
         if all > 0.0 { reproduced / all } else { 0.0 }
     }
 
+    /// Reduction of the held-out mean square of the force error over all sensors and both forces, in N^2.
+    pub fn force_reduction_n2(&self) -> f64 {
+        let [without, with] = self.force_n2;
+        without - with
+    }
+
     /// Number of folds in which the error falls.
     pub fn wins(&self) -> usize {
         self.folds.iter().filter(|(without, with)| with < without).count()
@@ -115,7 +125,18 @@ impl<'a> ScoreTest<'a> {
                 let parts = [CvSplit::of(&setup.rows), CvSplit::within(&setup.rows, 0.0)]
                     .map(|split| part_of(&split.folds(rows, 0.0), &linearisation));
                 let block = linearisation.places().map(place).collect();
-                SensorScore::new(linearisation, block, parts)
+                let stiffness = problem.base.stiffness(&values[s]);
+                let of_row = |(_, _, response): (usize, usize, &FieldResponse)| {
+                    let per_newton = [
+                        response.per_mm.column(0) / stiffness[0],
+                        response.per_mm.column(2) / stiffness[1],
+                    ];
+                    // Without an inverse there is no force.
+                    force_per_field(&per_newton).unwrap_or_default()
+                        * Matrix3::from_diagonal(&problem.weights.map(|w| 1.0 / w))
+                };
+                let to_force = linearisation.responses().map(of_row).collect();
+                SensorScore::new(linearisation, block, parts, to_force)
             })
             .collect();
         Self { setup, effects, values, sensors, blocks, recordings }
@@ -151,18 +172,26 @@ impl<'a> ScoreTest<'a> {
             .map(|(sensor, regressors)| sensor.evaluate(regressors, within))
             .collect();
         let mut folds: Vec<(f64, f64)> = Vec::new();
+        let mut force_n2 = [0.0; 2];
         for (_, _, own) in &scored {
             folds.resize(folds.len().max(own.len()), (0.0, 0.0));
             folds.iter_mut().zip(own).for_each(|(sum, own)| {
-                sum.0 += own.0;
-                sum.1 += own.1;
+                sum.0 += own.field.0;
+                sum.1 += own.field.1;
             });
+            let forces: f64 = own.iter().map(|fold| fold.forces).sum();
+            for (mean, of) in
+                force_n2.iter_mut().zip([|f: &HeldOut| f.force_n2.0, |f: &HeldOut| f.force_n2.1])
+            {
+                *mean += own.iter().map(of).sum::<f64>() / forces.max(1.0) / scored.len() as f64;
+            }
         }
         folds.retain(|(without, _)| *without > 0.0);
         let (orthogonal, inverse): (Vec<_>, Vec<_>) =
             scored.into_iter().map(|(orthogonal, inverse, _)| (orthogonal, inverse)).unzip();
         let mut score = CandidateScore {
             folds,
+            force_n2,
             explained: 0.0,
             count,
             z_typical: 0.0,
@@ -230,7 +259,7 @@ impl<'a> ScoreTest<'a> {
         let scored = self.sensors.par_iter().enumerate().map(|(s, sensor)| {
             let columns = sensor.linearisation.spline_columns(&self.setup.rows[s], KNOTS);
             let folds = sensor.held_out_squares(&columns, 1);
-            folds.iter().fold((0.0, 0.0), |(a, b), f| (a + f.0, b + f.1))
+            folds.iter().fold((0.0, 0.0), |(a, b), f| (a + f.field.0, b + f.field.1))
         });
         let (without, with) = scored.reduce(|| (0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
         1.0 - with / without
@@ -247,7 +276,7 @@ impl<'a> ScoreTest<'a> {
             let problem = SensorProblem::new(rows, base, &self.effects);
             let columns = form_columns(&sensor.linearisation, &problem, &self.values[s], place);
             let folds = sensor.held_out_squares(&columns, self.is_within(effect));
-            folds.iter().fold((0.0, 0.0), |(a, b), f| (a + f.0, b + f.1))
+            folds.iter().fold((0.0, 0.0), |(a, b), f| (a + f.field.0, b + f.field.1))
         });
         let (without, with) = scored.reduce(|| (0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
         if without > 0.0 { 1.0 - with / without } else { 0.0 }
@@ -513,10 +542,12 @@ pub(super) struct SensorScore {
 }
 
 impl SensorScore {
+    /// `to_force` converts the weighted residual of each row to an error of both forces in newtons.
     pub(super) fn new(
         linearisation: Linearisation,
         block: Vec<usize>,
         fold_of: [Vec<usize>; 2],
+        to_force: Vec<Matrix2x3<f64>>,
     ) -> Self {
         let (residual, fixed) = (linearisation.residual(), linearisation.fixed());
         let mean_square = residual.norm_squared() / residual.len().max(1) as f64;
@@ -527,7 +558,7 @@ impl SensorScore {
         Self {
             inverse,
             residual: left,
-            folds: fold_of.map(|fold_of| FoldRows::all(&linearisation, &fold_of)),
+            folds: fold_of.map(|fold_of| FoldRows::all(&linearisation, &fold_of, &to_force)),
             coarse: linearisation.thinned(COARSE),
             linearisation,
             block,
@@ -547,37 +578,56 @@ impl SensorScore {
         &self,
         regressors: &DMatrix<f64>,
         kind: usize,
-    ) -> (DMatrix<f64>, DMatrix<f64>, Vec<(f64, f64)>) {
+    ) -> (DMatrix<f64>, DMatrix<f64>, Vec<HeldOut>) {
         let orthogonal = self.orthogonal(regressors);
         let inverse = inverse(gram(&columns(&orthogonal, 0..orthogonal.nrows())), self.prior);
         (orthogonal, inverse, self.held_out_squares(regressors, kind))
     }
 
     /// Held-out squares without and with these regressors, by fold.
-    pub(super) fn held_out_squares(
-        &self,
-        regressors: &DMatrix<f64>,
-        kind: usize,
-    ) -> Vec<(f64, f64)> {
+    pub(super) fn held_out_squares(&self, regressors: &DMatrix<f64>, kind: usize) -> Vec<HeldOut> {
         let folds = &self.folds[kind];
-        let bordered: Vec<NormalEquations> =
-            folds.iter().map(|fold| fold.with(regressors)).collect();
-        let alone: Vec<&NormalEquations> = folds.iter().map(|fold| &fold.normals).collect();
-        let with: Vec<&NormalEquations> = bordered.iter().collect();
+        let bordered: Vec<FoldNormals> = folds.iter().map(|fold| fold.with(regressors)).collect();
+        let alone: Vec<&FoldNormals> = folds.iter().map(|fold| &fold.normals).collect();
+        let with: Vec<&FoldNormals> = bordered.iter().collect();
         let held_out = |k: usize| {
-            (held_out_square(&alone, k, self.prior), held_out_square(&with, k, self.prior))
+            let (without, with) =
+                (held_out_squares(&alone, k, self.prior), held_out_squares(&with, k, self.prior));
+            HeldOut {
+                field: (without.0, with.0),
+                force_n2: (without.1, with.1),
+                forces: 2.0 / 3.0 * folds[k].entries.len() as f64,
+            }
         };
         (0..folds.len()).map(held_out).collect()
     }
 }
 
-/// Residual sum of squares of one fold, with the coefficients fitted to all others.
-fn held_out_square(folds: &[&NormalEquations], k: usize, prior: f64) -> f64 {
-    let others = folds.iter().enumerate().filter(|(i, _)| *i != k).map(|(_, fold)| *fold);
+/// Held-out sums of squares of one fold, without and with a candidate.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct HeldOut {
+    /// Of the weighted residual.
+    field: (f64, f64),
+    /// Of the force errors in N^2.
+    force_n2: (f64, f64),
+    /// Number of force errors.
+    forces: f64,
+}
+
+/// Residual sums of squares of one fold, of field and forces, with the coefficients fitted to the fields of all others.
+fn held_out_squares(folds: &[&FoldNormals], k: usize, prior: f64) -> (f64, f64) {
+    let others = folds.iter().enumerate().filter(|(i, _)| *i != k).map(|(_, fold)| &fold.field);
     let own = folds[k];
-    let sum =
-        NormalEquations::sum(others).unwrap_or_else(|| NormalEquations::zeros(own.right.len()));
-    own.residual_squares(&(inverse(sum.matrix, prior) * sum.right))
+    let sum = NormalEquations::sum(others)
+        .unwrap_or_else(|| NormalEquations::zeros(own.field.right.len()));
+    let coefficients = inverse(sum.matrix, prior) * sum.right;
+    (own.field.residual_squares(&coefficients), own.force.residual_squares(&coefficients))
+}
+
+/// Normal equations of one fold: of the weighted residual, and of the force errors that it causes.
+struct FoldNormals {
+    field: NormalEquations,
+    force: NormalEquations,
 }
 
 /// Rows of one fold, with the normal equations of the fitted columns.
@@ -585,29 +635,61 @@ struct FoldRows {
     entries: Vec<usize>,
     fixed: DMatrix<f64>,
     residual: DVector<f64>,
-    normals: NormalEquations,
+    /// Of each row.
+    to_force: Vec<Matrix2x3<f64>>,
+    /// Fixed columns and residual as errors of the forces.
+    fixed_n: DMatrix<f64>,
+    residual_n: DVector<f64>,
+    normals: FoldNormals,
 }
 
 impl FoldRows {
     /// All folds; `fold_of` is the fold of each row.
-    fn all(linearisation: &Linearisation, fold_of: &[usize]) -> Vec<Self> {
+    fn all(
+        linearisation: &Linearisation,
+        fold_of: &[usize],
+        to_force: &[Matrix2x3<f64>],
+    ) -> Vec<Self> {
         let count = fold_of.iter().max().map_or(0, |last| last + 1);
         let of_fold = |fold: usize| {
-            let rows = fold_of.iter().enumerate().filter(|(_, own)| **own == fold);
-            let entries: Vec<usize> = rows.flat_map(|(row, _)| 3 * row..3 * row + 3).collect();
+            let rows = || fold_of.iter().enumerate().filter(|(_, own)| **own == fold);
+            let to_force: Vec<Matrix2x3<f64>> = rows().map(|(row, _)| to_force[row]).collect();
+            let entries: Vec<usize> = rows().flat_map(|(row, _)| 3 * row..3 * row + 3).collect();
             let fixed = linearisation.fixed().select_rows(&entries);
             let residual = linearisation.residual().select_rows(&entries);
-            let normals = NormalEquations::of(&fixed, &residual, 0..entries.len());
-            Self { entries, fixed, residual, normals }
+            let fixed_n = as_forces(&fixed, &to_force);
+            let residual_n = as_forces(&DMatrix::from_columns(&[residual.clone()]), &to_force)
+                .column(0)
+                .into_owned();
+            let normals = FoldNormals {
+                field: NormalEquations::of(&fixed, &residual, 0..entries.len()),
+                force: NormalEquations::of(&fixed_n, &residual_n, 0..residual_n.len()),
+            };
+            Self { entries, fixed, residual, to_force, fixed_n, residual_n, normals }
         };
         (0..count).map(of_fold).collect()
     }
 
     /// With these columns, over all rows, appended.
-    fn with(&self, columns: &DMatrix<f64>) -> NormalEquations {
+    fn with(&self, columns: &DMatrix<f64>) -> FoldNormals {
         let own = columns.select_rows(&self.entries);
-        self.normals.with(&self.fixed, &own, &self.residual, 0..self.entries.len())
+        let own_n = as_forces(&own, &self.to_force);
+        let (rows, forces) = (0..self.entries.len(), 0..self.residual_n.len());
+        FoldNormals {
+            field: self.normals.field.with(&self.fixed, &own, &self.residual, rows),
+            force: self.normals.force.with(&self.fixed_n, &own_n, &self.residual_n, forces),
+        }
     }
+}
+
+/// Columns over the axes of the field in each row, as errors of both forces.
+fn as_forces(columns: &DMatrix<f64>, to_force: &[Matrix2x3<f64>]) -> DMatrix<f64> {
+    let mut forces = DMatrix::zeros(2 * to_force.len(), columns.ncols());
+    for (row, to_force) in to_force.iter().enumerate() {
+        let of_row = to_force * columns.rows(3 * row, 3);
+        forces.rows_mut(2 * row, 2).copy_from(&of_row);
+    }
+    forces
 }
 
 /// Inverse of normal equations with a prior of one width on each parameter.

@@ -7,8 +7,8 @@
 
 use crate::fit::tall_products::{columns, gram, products};
 use crate::inverse::static_model::{DesignBox, StaticModel, lattice};
-use crate::physics::sensor::GAP_WEIGHT;
-use nalgebra::{DMatrix, Matrix2, Vector2, Vector3};
+use crate::physics::sensor::force_per_field;
+use nalgebra::{DMatrix, Vector2, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use wide::f64x4;
@@ -254,18 +254,13 @@ const CONVERGED_N: f64 = 1e-9;
 
 /// Forces whose field is nearest to `field_g`, from a close start (Gauss-Newton).
 pub fn nearest_forces(model: &StaticModel, field_g: &Vector3<f64>, start_n: [f64; 2]) -> [f64; 2] {
-    let weight = Vector3::new(1.0, GAP_WEIGHT, 1.0);
     let mut force = Vector2::from(start_n);
     for _ in 0..6 {
-        let (at_g, [gx, gz]) = model.linearised(force.into());
-        let (wx, wz) = (gx.component_mul(&weight), gz.component_mul(&weight));
-        let residual = field_g - at_g;
-        let normal = Matrix2::new(wx.dot(&gx), wx.dot(&gz), wz.dot(&gx), wz.dot(&gz));
-        let right = Vector2::new(wx.dot(&residual), wz.dot(&residual));
-        let Some(inverse) = normal.try_inverse() else {
+        let (at_g, per_newton) = model.linearised(force.into());
+        let Some(inverse) = force_per_field(&per_newton) else {
             break;
         };
-        let step = inverse * right;
+        let step = inverse * (field_g - at_g);
         force += step;
         // The next step would be of rounding errors; without noise the first one is.
         if step.norm() < CONVERGED_N {

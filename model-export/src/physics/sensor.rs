@@ -4,7 +4,7 @@
 //! `y` from the element to the magnet. A positive force moves the magnet along the positive axis: Bx depends
 //! on Fx, Bz on Fz, and By is of second order in both.
 
-use nalgebra::{Matrix3, Rotation3, Vector3};
+use nalgebra::{Matrix2x3, Matrix3, Matrix3x2, Rotation3, Vector3};
 
 use crate::physics::magnet::{Magnet, Magnetisation};
 use crate::physics::response::{FieldResponse, PhysicalState, field_of, reading_of};
@@ -13,6 +13,14 @@ use crate::recordings::description::{MagnetAxis, NominalDesign};
 /// Weight of the gap axis in the inversion from field to forces, relative to the axes in the plane of motion:
 /// it is the most sensitive to temperature, gap changes and the neighbouring magnet.
 pub const GAP_WEIGHT: f64 = 0.01;
+
+/// Change of both forces with the field in N/G by the device's inverse, where the field changes by `[dB/dFx, dB/dFz]` in G/N: least
+/// squares with [`GAP_WEIGHT`]. `None` where the field does not determine both forces.
+pub fn force_per_field(per_newton: &[Vector3<f64>; 2]) -> Option<Matrix2x3<f64>> {
+    let slopes = Matrix3x2::from_columns(per_newton);
+    let weighted = slopes.transpose() * Matrix3::from_diagonal(&Vector3::new(1.0, GAP_WEIGHT, 1.0));
+    Some((weighted * slopes).try_inverse()? * weighted)
+}
 
 /// Forward model of one sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -9,6 +9,9 @@
 const BLOCK: usize = 200;
 /// Variance gain: sum of the squares of 1, -3, 3, -1.
 const VARIANCE_GAIN: f64 = 20.0;
+/// Median of the mean square of a block relative to its expectation: chi-squared with 86.6 degrees of freedom, since third
+/// differences have correlations of -15/20, 6/20 and -1/20 with those after them. (1 - 2/9/86.6)^3 by Wilson and Hilferty (1931).
+const MEDIAN: f64 = 0.992_32;
 
 /// Estimator for one column; stores one number for each `BLOCK` rows.
 #[derive(Clone, Debug, Default)]
@@ -52,8 +55,10 @@ impl WhiteNoise {
         let middle = blocks.len() / 2;
         let median = match blocks.len() {
             0 => return None,
-            n if n % 2 == 1 => blocks[middle],
-            _ => 0.5 * (blocks[middle - 1] + blocks[middle]),
+            1 => blocks[0],
+            2 => 0.5 * (blocks[0] + blocks[1]),
+            n if n % 2 == 1 => blocks[middle] / MEDIAN,
+            _ => 0.5 * (blocks[middle - 1] + blocks[middle]) / MEDIAN,
         };
         Some((median / VARIANCE_GAIN).sqrt())
     }
@@ -78,6 +83,18 @@ mod tests {
         }
         let found = noise.estimate().unwrap();
         assert!((found / 0.15 - 1.0).abs() < 0.03, "{found}");
+    }
+
+    #[test]
+    fn estimate_is_unbiased() {
+        let mut rng = ChaCha8Rng::seed_from_u64(2);
+        let mut noise = WhiteNoise::default();
+        for _ in 0..2_000_000 {
+            noise.push((0..12).map(|_| rng.random::<f64>() - 0.5).sum());
+        }
+        // Standard error of the median over 10,000 blocks: 0.1 %; without the correction the estimate is 0.4 % too small.
+        let found = noise.estimate().unwrap();
+        assert!((found - 1.0).abs() < 0.002, "{found}");
     }
 
     #[test]

@@ -189,6 +189,11 @@ impl ForceError {
         (self.reducible_rms_n.powi(2) - self.noise_n.powi(2)).max(0.0).sqrt()
     }
 
+    /// The excess in newtons where the mean square of the error falls by this much, in N^2.
+    pub fn excess_less(&self, reduction_n2: f64) -> f64 {
+        (self.reducible_rms_n.powi(2) - reduction_n2 - self.noise_n.powi(2)).max(0.0).sqrt()
+    }
+
     /// Error of the device that none of its models could remove, in newtons: root of the difference of squares.
     pub fn irreducible_n(&self) -> f64 {
         (self.rms_n.powi(2) - self.reducible_rms_n.powi(2)).max(0.0).sqrt()

@@ -14,8 +14,8 @@ use serde_json::{Value, json};
 use crate::html::diagnosis::verdicts::planned;
 use crate::html::plot::{Along, axes, figure, px, stroke};
 use crate::html::{attribution, errors, head, histograms, map, palette, summary, traces};
-use crate::text::comparison::{validation, verdict};
-use crate::text::diagnosis::{force_headline, is_present, magnitude, missing_columns};
+use crate::text::comparison::{force_headline, force_origins, validation, verdict};
+use crate::text::diagnosis::{is_present, magnitude, missing_columns};
 use crate::text::notes;
 
 /// The page, without a model; its script asks for one. With `live` it shows a gripper.
@@ -48,7 +48,7 @@ pub fn page(campaign: &str, live: bool) -> String {
                             button #plan type="button" { "Plan the next recording" }
                         }
                         div #diagnosis-result role="status" {}
-                        p.note { "Predicted reduction of the squared field error on held-out rows, by the linearised model." }
+                        p.note { "Predicted excess of the force error with the effect (without forces: fall of the squared field error), held out, by the linearised model." }
                         ul #candidates {}
                         details { summary { "Not significant" } ul #others {} }
                         details { summary { "Cannot be tested here" } ul #untestable {} }
@@ -138,7 +138,7 @@ pub fn state(
     });
     let candidates = model.candidates.iter().map(|one| {
         json!({
-            "name": one.effect, "gain": one.gain, "p": one.p_adjusted, "is_significant": one.is_significant,
+            "name": one.effect, "excess_n": one.excess_n, "gain": one.gain, "p": one.p_adjusted, "is_significant": one.is_significant,
             "title": find(&one.effect).map_or("", |effect| effect.size.description),
             "physics": find(&one.effect).map_or("", |effect| effect.physics),
         })
@@ -153,8 +153,11 @@ pub fn state(
         };
         json!({ "name": one.effect, "reason": reason, "record": one.record })
     });
+    let compared = with_baseline(model, baseline);
+    let headline = std::iter::once(force_headline(&compared)).chain(force_origins(&compared));
     json!({
         "name": model.comparison.model,
+        "headline": headline.collect::<Vec<_>>().join(" "),
         "verdict": verdict(&model.comparison),
         "validation": validation(&model.comparison),
         "force": model.force(),
@@ -164,7 +167,7 @@ pub fn state(
         "untestable": untestable.collect::<Vec<_>>(),
         "notes": notes::texts(&model.comparison.notes),
         "commands": commands,
-        "view": view(&with_baseline(model, baseline)),
+        "view": view(&compared),
     })
 }
 
@@ -208,7 +211,7 @@ pub fn diagnosis(diagnosis: &Diagnosis) -> Value {
         json!({ "name": one.name, "formulas": one.effects.iter().filter_map(formula).collect::<Vec<_>>(), "gain": one.gain, "p": one.p_value })
     });
     json!({
-        "headline": force_headline(diagnosis),
+        "headline": crate::text::diagnosis::force_headline(diagnosis),
         "missing": missing_columns(diagnosis),
         "steps": steps.filter(|step| !step.is_empty()).collect::<Vec<_>>(),
         "evidence": diagnosis.verdicts.iter().filter(|verdict| is_present(verdict)).map(evidence).collect::<serde_json::Map<_, _>>(),

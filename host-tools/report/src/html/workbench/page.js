@@ -51,26 +51,14 @@
   }
 
   function headline(predicted) {
-    const { force, baseline_force: before } = shown;
-    if (!force) return (at("headline").textContent = shown.verdict);
-    const from = before ? `${newtons(before.rms_n)} \u2192 ` : "";
-    const excess = before ? `${newtons(before.excess_n)} \u2192 ${newtons(force.excess_n)}` : newtons(force.excess_n);
-    const more = predicted ? ` Predicted: ${newtons(predicted)}.` : "";
-    at("headline").textContent =
-      `Force error (held out, device's code, RMS over all forces): ${from}${newtons(force.rms_n)}; noise ${newtons(force.noise_n)}, ` +
-      `excess over noise ${excess}.${more}`;
+    if (!shown.force) return (at("headline").textContent = shown.verdict);
+    at("headline").textContent = shown.headline + (predicted ? ` Predicted: ${newtons(predicted)}.` : "");
     at("verdict").textContent = `${shown.verdict} Held-out rows: ${shown.validation}.`;
   }
 
-  /** The force error if its excess falls like the squared error of the field. */
-  function predict(gain) {
-    const force = shown.force;
-    if (!force) return undefined;
-    return Math.hypot(force.noise_n, force.excess_n * Math.sqrt(Math.max(0, 1 - gain)));
-  }
-
-  function preview(gain) {
-    const predicted = gain === undefined ? undefined : predict(gain);
+  /** Shows the force error with the predicted excess of a candidate, or without one. */
+  function preview(excess) {
+    const predicted = shown.force && Number.isFinite(excess) ? Math.hypot(shown.force.noise_n, excess) : undefined;
     bar(predicted);
     headline(predicted);
   }
@@ -99,13 +87,13 @@
     );
     if (!shown.present.length) at("present").append(element("li", { className: "note", textContent: "No effects: the base physics alone." }));
     const candidates = shown.candidates.map((one) => {
-      const fall = `\u2212${(100 * Math.max(0, one.gain)).toFixed(1)} %`;
+      const fall = one.excess_n === null ? `\u2212${(100 * Math.max(0, one.gain)).toFixed(1)} %` : newtons(one.excess_n);
       const verdict = one.is_significant ? `significant by itself, p ${one.p.toFixed(3)}` : one.p < 0.05 ? `small, or not lower in every fold; p ${one.p.toFixed(3)}` : `not significant, p ${one.p.toFixed(2)}`;
       const item = choice(one.name, fall, `${one.title}; ${verdict}`, () => go({ effects: [...effects, one.name], formulas }));
       item.dataset.effect = one.name;
       item.title = one.physics;
       for (const [start, end] of [["mouseenter", "mouseleave"], ["focusin", "focusout"]]) {
-        item.addEventListener(start, () => preview(one.gain));
+        item.addEventListener(start, () => preview(one.excess_n ?? undefined));
         item.addEventListener(end, () => preview());
       }
       return [one.is_significant, item];
