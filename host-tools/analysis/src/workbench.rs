@@ -312,9 +312,7 @@ impl Workbench {
         });
         let mut scored: Vec<ScoredEffect> = scored.collect();
         // Where there are no forces, the order of the screening is kept.
-        scored.sort_by(|a, b| {
-            a.excess_n.unwrap_or(0.0).total_cmp(&b.excess_n.unwrap_or(0.0))
-        });
+        scored.sort_by(|a, b| a.excess_n.unwrap_or(0.0).total_cmp(&b.excess_n.unwrap_or(0.0)));
         scored
     }
 }

@@ -5,6 +5,7 @@ mod calibration;
 mod diagnosis;
 mod drive;
 mod fault_campaign;
+mod force;
 mod force_estimators;
 mod forged_frames;
 mod grasp;
@@ -87,6 +88,7 @@ enum Run {
     #[command(after_help = "Example:\n  cargo acceptance similarity")]
     Similarity,
     MagneticDisturbance(magnetic_disturbance::Args),
+    Force(force::Args),
     /// Compare eight force estimators on a held-out recording.
     #[command(after_help = "Example:\n  cargo acceptance force-estimators --first 12")]
     ForceEstimators,
@@ -109,6 +111,7 @@ impl Run {
             Self::Diagnosis(args) => diagnosis::evaluate_groups(args, options),
             Self::Similarity => similarity::evaluate(options),
             Self::MagneticDisturbance(args) => magnetic_disturbance::evaluate(args, options),
+            Self::Force(args) => force::evaluate(args, options),
             Self::ForceEstimators => force_estimators::evaluate(options),
             Self::Drive => drive::evaluate(options),
             Self::Grasp(args) => grasp::evaluate(args, options),

@@ -3,6 +3,7 @@ use crate::html::fixture::comparison;
 use crate::html::page_with;
 use crate::text::diagnosis_fixture::full;
 use analysis::compare::{ErrorRows, ForceError};
+use analysis::numbers::number;
 
 fn page(diagnosis: &Diagnosis) -> String {
     page_with(&comparison(1, 4, 4.0), &sections(diagnosis))
@@ -35,12 +36,13 @@ fn each_step_has_a_large_plot_and_one_per_channel() {
 }
 
 #[test]
-fn staircase_has_a_bar_with_floors_per_step() {
+fn staircase_has_a_bar_with_its_height_per_step() {
     let page = page(&full());
     let stairs = section(&page, "staircase");
     assert_eq!(stairs.matches("role=\"img\"").count(), 1);
-    for floors in ["24.0 x", "13.0 x", "1.45 x"] {
-        assert!(stairs.contains(floors), "{floors}");
+    for step in &full().staircase {
+        let height = format!("{} G.", number(step.held_out_rms_g));
+        assert!(stairs.contains(&height), "{height}");
     }
     assert!(stairs.contains("2. + hysteresis") && stairs.contains("RMS in gauss"));
 
@@ -50,7 +52,7 @@ fn staircase_has_a_bar_with_floors_per_step() {
     with_forces.staircase.iter_mut().for_each(|step| step.force = force);
     let page = page_with(&comparison(1, 4, 4.0), &sections(&with_forces));
     let stairs = section(&page, "staircase");
-    assert!(stairs.contains("RMS in newtons") && stairs.contains("0.300 N"), "{stairs}");
+    assert!(stairs.contains("excess in newtons") && stairs.contains("0.300 N"), "{stairs}");
 }
 
 #[test]
