@@ -277,7 +277,7 @@ impl Workbench {
             place.with_context(|| format!("there is no recording {}", interval.recording))?;
         let values = table.covariates.first().map_or(&[][..], |column| &column.values);
         let mut scatter = ResidualScatter { covariate, all: Vec::new(), interval: Vec::new() };
-        for (row, (value, residual)) in values.iter().zip(&table.residual_g).enumerate() {
+        for (row, (value, residual)) in values.iter().zip(&table.residual).enumerate() {
             let point =
                 [f64::from(*value), *residual.get(interval.axis).context("there is no such axis")?];
             if !point.iter().all(|number| number.is_finite()) {

@@ -75,7 +75,7 @@ fn clean_recordings_reach_the_floor_without_attribution() {
 fn confidence_intervals_of_noise_contain_zero() {
     let comparison = compared(&fitted_model("clean"), "clean");
     let quantities = comparison.located.iter().filter(|located| located.bins.len() == 12);
-    let bands = quantities.flat_map(|l| &l.bins).flat_map(|bin| bin.band_g.iter().flatten());
+    let bands = quantities.flat_map(|l| &l.bins).flat_map(|bin| bin.band.iter().flatten());
     let (mut inside, mut all) = (0, 0);
     for (low, high) in bands {
         all += 1;
@@ -89,7 +89,7 @@ fn confidence_intervals_of_noise_contain_zero() {
 fn worst_interval_is_at_the_smallest_opening() {
     let comparison = compared(&fitted_model("demo"), "demo");
     assert_eq!(comparison.worst.len(), 5);
-    assert!(comparison.worst.is_sorted_by(|a, b| a.rms_g >= b.rms_g));
+    assert!(comparison.worst.is_sorted_by(|a, b| a.rms >= b.rms));
     let conditions = &comparison.worst[0].conditions;
     let opening = conditions.iter().find(|condition| condition.label == "opening").unwrap();
     assert!(opening.mean < 10.0, "{:?}", comparison.worst[0]);

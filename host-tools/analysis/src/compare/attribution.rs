@@ -107,7 +107,7 @@ impl<'a> Attributor<'a> {
     /// that they explain.
     pub fn rank(&self) -> Vec<RankedCovariate> {
         let mut residual: Vec<Vec<Vector3<f64>>> =
-            self.sensors.iter().map(|sensor| sensor.residual_g.clone()).collect();
+            self.sensors.iter().map(|sensor| sensor.residual.clone()).collect();
         let mut remaining: Vec<usize> =
             (0..self.kinds.len()).filter(|c| self.binnings[*c].is_some()).collect();
         let alone = self.shares(&remaining, &residual);
@@ -289,8 +289,8 @@ fn predict_held_out(
 
 /// Sums of squared residual and squared floor.
 fn sums(sensors: &[ResidualTable]) -> (f64, f64) {
-    let squares = sensors.iter().flat_map(|s| &s.residual_g).map(Vector3::norm_squared);
-    let floor = sensors.iter().flat_map(|s| &s.floor_g2).map(Vector3::sum);
+    let squares = sensors.iter().flat_map(|s| &s.residual).map(Vector3::norm_squared);
+    let floor = sensors.iter().flat_map(|s| &s.floor2).map(Vector3::sum);
     (squares.sum(), floor.sum())
 }
 

@@ -2,7 +2,7 @@
 
 use crate::compare::Bin;
 use crate::compare::attribution::Binning;
-use crate::compare::residual_table::ResidualTable;
+use crate::compare::residual_table::{ResidualTable, error_unit};
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -61,7 +61,7 @@ impl BlockBootstrap {
         };
         let excess = sensors
             .iter()
-            .flat_map(|sensor| sensor.residual_g.iter().zip(&sensor.floor_g2))
+            .flat_map(|sensor| sensor.residual.iter().zip(&sensor.floor2))
             .map(|(residual, floor)| residual.norm_squared() - floor.sum())
             .sum::<f64>();
         Self { draws: (0..DRAWS).map(draw).collect(), of, excess: excess.max(f64::MIN_POSITIVE) }
@@ -83,7 +83,7 @@ impl BlockBootstrap {
         let mut squares = vec![(0.0, 0.0); bins.len()];
         for ((sensor, of), blocks) in sensors.iter().zip(&binning.of).zip(&self.of) {
             let mut cells = vec![vec![Cell::default(); self.block_count()]; bins.len()];
-            let rows = sensor.residual_g.iter().zip(&sensor.floor_g2);
+            let rows = sensor.residual.iter().zip(&sensor.floor2);
             for (((residual, floor), bin), block) in rows.zip(of).zip(blocks) {
                 if *bin == Binning::NONE {
                     continue;
@@ -97,12 +97,12 @@ impl BlockBootstrap {
             }
             for (bin, cells) in bins.iter_mut().zip(&cells) {
                 let (mean, band) = self.band(cells);
-                bin.mean_g.push(mean.into());
-                bin.band_g.push(band);
+                bin.mean.push(mean.into());
+                bin.band.push(band);
             }
         }
         for (bin, (squares, floor)) in bins.iter_mut().zip(squares) {
-            bin.rms_g = (squares / (3 * bin.rows.max(1)) as f64).sqrt();
+            bin.rms = (squares / (error_unit(sensors).axes() * bin.rows.max(1)) as f64).sqrt();
             bin.share = ((squares - floor) / self.excess).clamp(0.0, 1.0);
         }
         bins
@@ -163,14 +163,14 @@ mod tests {
             state = 0.9 * state + step;
             sensor.recording.push(0);
             sensor.time_s.push(0.01 * f64::from(row));
-            sensor.residual_g.push(Vector3::new(state, 0.0, 0.0));
-            sensor.floor_g2.push(Vector3::zeros());
+            sensor.residual.push(Vector3::new(state, 0.0, 0.0));
+            sensor.floor2.push(Vector3::zeros());
         }
         let binning =
             Binning { ranges: vec![(0.0, 1.0)], centres: vec![0.5], of: vec![vec![0; 20_000]] };
         let sensors = [sensor];
         let bins = BlockBootstrap::new(&sensors, 2.0, 1).bins(&sensors, &binning);
-        let (low, high) = bins[0].band_g[0][0];
+        let (low, high) = bins[0].band[0][0];
         // 1 / (1 - a) / sqrt(n) = 0.0707; 95 % are 2 * 1.96 of these wide.
         assert!((0.20..0.36).contains(&(high - low)), "{}", high - low);
     }

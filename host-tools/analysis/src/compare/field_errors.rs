@@ -13,6 +13,7 @@ use model_export::effects::excitation::LoadCycleCounter;
 use model_export::fit::cross_validation::noise_variance;
 use model_export::fit::rows::{RecordingRows, check_forces, own_forces};
 use model_export::model_file::{FieldPrediction, ModelFile};
+use model_export::physics::sensor::force_per_field;
 use model_export::recordings::columns::Axis;
 use model_export::recordings::{Campaign, DataError, Notice, Recording};
 use nalgebra::Vector3;
@@ -198,7 +199,7 @@ struct Modelled {
     field_g: Vec<Vector3<f64>>,
     /// Prediction by the model's own parameters, used for attribution: it is consistent over all recordings,
     /// whereas the fold models differ.
-    own_g: Vec<Vector3<f64>>,
+    own: FieldPrediction,
     /// Squared noise of the reference times dB/dF.
     reference_g2: Vec<Vector3<f64>>,
     floor_g2: Vec<Vector3<f64>>,
@@ -218,7 +219,7 @@ impl SensorEvaluation {
         let rows = part.len();
         let mut modelled = Modelled {
             field_g: Vec::with_capacity(rows),
-            own_g: self.predict(plan.models.first()?, planned, &mut part)?.field_g,
+            own: self.predict(plan.models.first()?, planned, &mut part)?,
             reference_g2: Vec::with_capacity(rows),
             floor_g2: Vec::with_capacity(rows),
         };
@@ -263,7 +264,7 @@ impl SensorEvaluation {
         let minus = |modelled: &[Vector3<f64>]| -> Vec<Vector3<f64>> {
             part.field_g.iter().zip(modelled).map(|(b, m)| b - m).collect()
         };
-        let (residual, own) = (minus(&modelled.field_g), minus(&modelled.own_g));
+        let (residual, own) = (minus(&modelled.field_g), minus(&modelled.own.field_g));
         let step = recording.description.gauss_per_lsb.unwrap_or(0.0) * recording.noise_gain;
         let steps = Vector3::repeat(step * step / 12.0);
         let white = noise_variance(part, []);
@@ -276,6 +277,10 @@ impl SensorEvaluation {
             self.floor[2] += modelled.reference_g2[row];
         }
         self.columns.push(place, &part.track, &own, &modelled.floor_g2, stride);
+        let rows = own.iter().zip(&modelled.own.per_newton);
+        let forces: Option<Vec<_>> =
+            rows.map(|(residual, slopes)| as_forces(residual, slopes, part, white)).collect();
+        self.columns.push_forces(&forces.unwrap_or_default(), stride);
         let curve = |of: &[Vector3<f64>], axis: usize| {
             let values: Vec<f64> = of.iter().map(|field| field[axis]).collect();
             Envelope::of(&part.track.time_s, &values, points)
@@ -289,6 +294,30 @@ impl SensorEvaluation {
             force: Vec::new(),
         }
     }
+}
+
+/// The residual of a row in gauss as the error of both forces that it causes in the device's inverse, and its squared noise, where
+/// the field depends on two forces. `white_g2` is the squared white noise of the field.
+fn as_forces(
+    residual_g: &Vector3<f64>,
+    per_newton: &[Vector3<f64>],
+    part: &RecordingRows,
+    white_g2: Vector3<f64>,
+) -> Option<(Vector3<f64>, Vector3<f64>)> {
+    let slopes: &[Vector3<f64>; 2] = per_newton.try_into().ok()?;
+    let to_force = force_per_field(slopes)?;
+    let error_n = to_force * residual_g;
+    let noise_n2 = to_force.component_mul(&to_force) * white_g2;
+    let reference_n2 = |force: usize| {
+        part.force_noise_n
+            .get(force)
+            .filter(|noise| noise.is_finite())
+            .map_or(0.0, |noise| noise.powi(2))
+    };
+    Some((
+        Vector3::new(error_n.x, 0.0, error_n.y),
+        Vector3::new(noise_n2.x + reference_n2(0), 0.0, noise_n2.y + reference_n2(1)),
+    ))
 }
 
 fn same_gripper(campaign: &Path, first: &Recording, other: &Recording) -> Result<(), DataError> {

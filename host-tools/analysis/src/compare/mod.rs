@@ -361,6 +361,44 @@ pub struct ForceAxisErrors {
     pub explainable: f64,
 }
 
+/// Unit of a residual: of the forces through the device's inverse, or of the field where the forces are not determined.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub enum ErrorUnit {
+    /// Newtons.
+    #[serde(rename = "N")]
+    Newton,
+    /// Gauss.
+    #[default]
+    #[serde(rename = "G")]
+    Gauss,
+}
+
+impl ErrorUnit {
+    /// Symbol of the unit.
+    pub fn symbol(self) -> &'static str {
+        match self {
+            Self::Newton => "N",
+            Self::Gauss => "G",
+        }
+    }
+
+    /// Number of components of a residual.
+    pub fn axes(self) -> usize {
+        match self {
+            Self::Newton => 2,
+            Self::Gauss => 3,
+        }
+    }
+
+    /// Name of each component, by axis.
+    pub fn axis_names(self) -> [&'static str; 3] {
+        match self {
+            Self::Newton => ["Fx", "", "Fz"],
+            Self::Gauss => ["x", "y", "z"],
+        }
+    }
+}
+
 /// Dependence of the residual on one covariate.
 #[derive(Clone, Debug, Serialize)]
 pub struct Attribution {
@@ -378,6 +416,8 @@ pub struct Attribution {
     pub alone: f64,
     /// True if it was selected, false if its share is below the threshold.
     pub chosen: bool,
+    /// Unit of the residual in the bins.
+    pub error_unit: ErrorUnit,
     /// Sensor numbers, in the order of each bin's means.
     pub sensors: Vec<u32>,
     /// Quantile bins, or one per value where there are few, over the original residual.
@@ -395,14 +435,14 @@ pub struct Bin {
     pub centre: f64,
     /// Number of rows over all sensors.
     pub rows: usize,
-    /// Root mean square of the residual over all sensors and axes, in gauss.
-    pub rms_g: f64,
+    /// Root mean square of the residual over all sensors and axes.
+    pub rms: f64,
     /// Fraction of the squared residual above the floor in these rows.
     pub share: f64,
-    /// Mean residual by sensor and axis, in gauss; NaN without rows.
-    pub mean_g: Vec<[f64; 3]>,
+    /// Mean residual by sensor and axis; NaN without rows. Of forces, y is zero.
+    pub mean: Vec<[f64; 3]>,
     /// 95 % confidence interval of that mean by block bootstrap.
-    pub band_g: Vec<[(f64, f64); 3]>,
+    pub band: Vec<[(f64, f64); 3]>,
 }
 
 /// RMS residual over two covariates.
@@ -414,10 +454,12 @@ pub struct ResidualMap {
     pub across: Vec<f64>,
     /// Row edges.
     pub upwards: Vec<f64>,
-    /// `rms_g[row][column]` in gauss; NaN without data.
-    pub rms_g: Vec<Vec<f64>>,
-    /// Noise floor in gauss, for the colour scale.
-    pub floor_g: f64,
+    /// `rms[row][column]`; NaN without data.
+    pub rms: Vec<Vec<f64>>,
+    /// Noise floor, for the colour scale.
+    pub floor: f64,
+    /// Unit of both.
+    pub error_unit: ErrorUnit,
 }
 
 /// An interval of time with a large error.
@@ -431,8 +473,10 @@ pub struct WorstInterval {
     pub to_s: f64,
     /// Sensor with the largest error.
     pub sensor: u32,
-    /// RMS residual over all sensors and axes, in gauss.
-    pub rms_g: f64,
+    /// RMS residual over all sensors and axes.
+    pub rms: f64,
+    /// Its unit.
+    pub error_unit: ErrorUnit,
     /// Means of the main covariates.
     #[serde(skip)]
     pub conditions: Vec<MeanCondition>,

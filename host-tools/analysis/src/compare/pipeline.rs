@@ -7,7 +7,7 @@ use crate::compare::cv_plan::{CvPlan, ModelRefit};
 use crate::compare::field_errors::{FieldEvaluation, SensorEvaluation, evaluate_fields};
 use crate::compare::force_errors::{Recordings, evaluate_forces};
 use crate::compare::pure_error::{drift_at_rest, pure_error};
-use crate::compare::residual_table::{ResidualTable, residual_map, worst_intervals};
+use crate::compare::residual_table::{ResidualTable, error_unit, residual_map, worst_intervals};
 use crate::compare::{
     Attribution, Comparison, ComparisonProvenance, EffectOrigin, FieldAxisErrors, NoiseFloor,
 };
@@ -212,6 +212,7 @@ pub(crate) fn evaluate(
     let effects = model.effect_terms(path)?;
     notes.extend(effects.iter().flat_map(|effect| without_column(effect, &columns)));
     let correlation_s = correlation_s(&columns);
+    let columns: Vec<ResidualTable> = columns.into_iter().map(ResidualTable::in_newtons).collect();
     let block_s = (3.0 * correlation_s).max(MIN_BLOCK_S);
     let locator = Attributor::new(&columns, block_s);
     let ranked = locator.rank();
@@ -325,6 +326,7 @@ fn located(
             share: found.share,
             alone: found.alone,
             chosen: found.chosen,
+            error_unit: error_unit(columns),
             sensors: columns.iter().map(|sensor| sensor.sensor).collect(),
             bins: bands.bins(columns, binning),
         })
@@ -341,7 +343,7 @@ pub fn correlation_s(columns: &[ResidualTable]) -> f64 {
             at = range.end;
             let time_s = &sensor.time_s[range.clone()];
             let span_s = time_s.last().zip(time_s.first()).map_or(0.0, |(to, from)| to - from);
-            let values: Vec<f64> = sensor.residual_g[range].iter().map(|r| r[axis]).collect();
+            let values: Vec<f64> = sensor.residual[range].iter().map(|r| r[axis]).collect();
             sum += autocorrelation_rows(&values) * span_s;
             rows += chunk.len() as f64;
         }

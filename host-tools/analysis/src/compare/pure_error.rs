@@ -91,7 +91,7 @@ pub fn pure_error(sensor: &ResidualTable) -> Option<[f64; 3]> {
         }
     }
     let found = [0, 1, 2].map(|axis| {
-        let residual = |row: &usize| sensor.residual_g[*row][axis];
+        let residual = |row: &usize| sensor.residual[*row][axis];
         let groups: Vec<Vec<f64>> =
             cells.values().map(|visits| visits.iter().map(residual).collect()).collect();
         let split = LackOfFit::of(&groups, 0)?;
@@ -164,8 +164,7 @@ fn means(sensor: &ResidualTable, from: usize, to: usize) -> Vec<[f64; 3]> {
     let rows: Vec<usize> = (from..to).collect();
     rows.chunk_by(|a, b| second(a) == second(b))
         .map(|rows| {
-            let sum =
-                rows.iter().map(|&row| sensor.residual_g[row]).sum::<nalgebra::Vector3<f64>>();
+            let sum = rows.iter().map(|&row| sensor.residual[row]).sum::<nalgebra::Vector3<f64>>();
             (sum / rows.len() as f64).into()
         })
         .collect()
@@ -299,8 +298,8 @@ mod tests {
             let (visit, place) = (row / 100, row % 100);
             sensor.recording.push(0);
             sensor.time_s.push(f64::from(visit) * 10.0 + f64::from(place) * 0.01);
-            sensor.residual_g.push(Vector3::repeat(if visit % 2 == 0 { 0.3 } else { -0.3 }));
-            sensor.floor_g2.push(Vector3::zeros());
+            sensor.residual.push(Vector3::repeat(if visit % 2 == 0 { 0.3 } else { -0.3 }));
+            sensor.floor2.push(Vector3::zeros());
             sensor.covariates[0].values.push(place as f32);
         }
         let scatter = pure_error(&sensor).unwrap();

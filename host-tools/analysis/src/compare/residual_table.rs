@@ -2,7 +2,7 @@
 //! covariates.
 
 use crate::compare::covariates::Covariate;
-use crate::compare::{MeanCondition, ResidualMap, WorstInterval};
+use crate::compare::{ErrorUnit, MeanCondition, ResidualMap, WorstInterval};
 use model_export::effects::ExcitationSeries;
 use nalgebra::Vector3;
 use std::collections::BTreeMap;
@@ -19,10 +19,14 @@ pub struct ResidualTable {
     pub recording: Vec<u32>,
     /// Time in the recording, in seconds.
     pub time_s: Vec<f64>,
-    /// Measured minus modelled, in gauss.
-    pub residual_g: Vec<Vector3<f64>>,
+    /// Unit of the residual.
+    pub unit: ErrorUnit,
+    /// Measured minus modelled field, or estimated minus measured forces along x and z.
+    pub residual: Vec<Vector3<f64>>,
     /// Squared noise floor.
-    pub floor_g2: Vec<Vector3<f64>>,
+    pub floor2: Vec<Vector3<f64>>,
+    /// The same as forces; empty where the field does not determine both.
+    forces: Vec<(Vector3<f64>, Vector3<f64>)>,
     /// The covariates, equal for all sensors.
     pub covariates: Vec<CovariateColumn>,
 }
@@ -43,8 +47,10 @@ impl ResidualTable {
             sensor,
             recording: Vec::new(),
             time_s: Vec::new(),
-            residual_g: Vec::new(),
-            floor_g2: Vec::new(),
+            unit: ErrorUnit::Gauss,
+            residual: Vec::new(),
+            floor2: Vec::new(),
+            forces: Vec::new(),
             covariates: covariates
                 .iter()
                 .map(|of| CovariateColumn { of: of.clone(), values: Vec::new() })
@@ -57,21 +63,35 @@ impl ResidualTable {
         &mut self,
         recording: usize,
         track: &ExcitationSeries,
-        residual_g: &[Vector3<f64>],
-        floor_g2: &[Vector3<f64>],
+        residual: &[Vector3<f64>],
+        floor2: &[Vector3<f64>],
         stride: usize,
     ) {
         let rows = || (0..track.len()).step_by(stride);
         self.recording.extend(rows().map(|_| recording as u32));
         self.time_s.extend(rows().map(|row| track.time_s[row]));
-        self.residual_g.extend(rows().map(|row| residual_g[row]));
-        self.floor_g2.extend(rows().map(|row| floor_g2[row]));
+        self.residual.extend(rows().map(|row| residual[row]));
+        self.floor2.extend(rows().map(|row| floor2[row]));
         for CovariateColumn { of, values: column } in &mut self.covariates {
             match of.values(track, recording + 1) {
                 Some(values) => column.extend(rows().map(|row| values[row] as f32)),
                 None => column.extend(rows().map(|_| f32::NAN)),
             }
         }
+    }
+
+    /// Appends the residual of the same rows as forces in newtons, each with its squared noise floor.
+    pub fn push_forces(&mut self, forces: &[(Vector3<f64>, Vector3<f64>)], stride: usize) {
+        self.forces.extend(forces.iter().step_by(stride));
+    }
+
+    /// The table of the forces; that of the field where the field does not determine both forces.
+    pub fn in_newtons(mut self) -> Self {
+        if self.forces.len() == self.residual.len() {
+            (self.residual, self.floor2) = std::mem::take(&mut self.forces).into_iter().unzip();
+            self.unit = ErrorUnit::Newton;
+        }
+        self
     }
 
     /// Column of the covariate with this name.
@@ -88,6 +108,11 @@ impl ResidualTable {
     pub fn is_empty(&self) -> bool {
         self.time_s.is_empty()
     }
+}
+
+/// Unit of the residuals of all sensors.
+pub fn error_unit(sensors: &[ResidualTable]) -> ErrorUnit {
+    sensors.first().map_or(ErrorUnit::Gauss, |sensor| sensor.unit)
 }
 
 /// Length of an interval in seconds.
@@ -115,7 +140,7 @@ pub fn worst_intervals(
 ) -> Vec<WorstInterval> {
     let mut intervals: BTreeMap<(u32, usize), IntervalSums> = BTreeMap::new();
     for (i, sensor) in sensors.iter().enumerate() {
-        let rows = sensor.recording.iter().zip(&sensor.time_s).zip(&sensor.residual_g);
+        let rows = sensor.recording.iter().zip(&sensor.time_s).zip(&sensor.residual);
         for ((recording, time), residual) in rows {
             let sums = intervals.entry((*recording, (time / INTERVAL_S) as usize)).or_default();
             sums.by_sensor.resize(sensors.len(), 0.0);
@@ -129,7 +154,8 @@ pub fn worst_intervals(
     // The last interval of a recording may have too few rows.
     let mut list: Vec<_> =
         intervals.into_iter().filter(|(_, sums)| 2 * sums.rows >= usual).collect();
-    let mean = |sums: &IntervalSums| sums.squares / (3 * sums.rows.max(1)) as f64;
+    let unit = error_unit(sensors);
+    let mean = |sums: &IntervalSums| sums.squares / (unit.axes() * sums.rows.max(1)) as f64;
     list.sort_by(|a, b| mean(&b.1).total_cmp(&mean(&a.1)));
     list.truncate(LISTED);
     list.into_iter()
@@ -143,7 +169,8 @@ pub fn worst_intervals(
                 from_s,
                 to_s: (from_s + INTERVAL_S).min(end.max(from_s)),
                 sensor: sensors[sensor].sensor,
-                rms_g: mean(&sums).sqrt(),
+                rms: mean(&sums).sqrt(),
+                error_unit: unit,
                 conditions: conditions(&sensors[sensor], recording, from_s),
             }
         })
@@ -189,8 +216,8 @@ pub fn residual_map(
     let (mut floor, mut all) = (0.0, 0_usize);
     for sensor in sensors {
         let (x, y) = (&sensor.covariates[across].values, &sensor.covariates[upwards].values);
-        for (row, residual) in sensor.residual_g.iter().enumerate() {
-            floor += sensor.floor_g2[row].sum();
+        for (row, residual) in sensor.residual.iter().enumerate() {
+            floor += sensor.floor2[row].sum();
             all += 1;
             let cell = |edges: &[f64], value: f32| {
                 let value = f64::from(value);
@@ -205,21 +232,27 @@ pub fn residual_map(
         }
     }
     let [across_edges, upwards_edges] = edges;
+    let unit = error_unit(sensors);
     Some(ResidualMap {
         axes: [across, upwards].map(|covariate| label(sensors, covariate)),
         across: across_edges,
         upwards: upwards_edges,
-        rms_g: squares
+        rms: squares
             .iter()
             .zip(&rows)
             .map(|(squares, rows)| {
                 let cell = |(square, rows): (&f64, &usize)| {
-                    if *rows >= MIN_ROWS { (square / (3 * rows) as f64).sqrt() } else { f64::NAN }
+                    if *rows >= MIN_ROWS {
+                        (square / (unit.axes() * rows) as f64).sqrt()
+                    } else {
+                        f64::NAN
+                    }
                 };
                 squares.iter().zip(rows).map(cell).collect()
             })
             .collect(),
-        floor_g: (floor / (3 * all.max(1)) as f64).sqrt(),
+        floor: (floor / (unit.axes() * all.max(1)) as f64).sqrt(),
+        error_unit: unit,
     })
 }
 

@@ -54,7 +54,7 @@ impl RemainingStructure {
         let mut channels = Vec::new();
         for table in columns {
             for (axis, name) in Axis::ALL.map(Axis::letter).into_iter().enumerate() {
-                let rows = table.residual_g.iter().zip(&table.floor_g2);
+                let rows = table.residual.iter().zip(&table.floor2);
                 let excess =
                     rows.map(|(left, floor)| left[axis].powi(2) - floor[axis]).sum::<f64>();
                 let excess = (excess / table.len().max(1) as f64).max(0.0);
@@ -114,7 +114,7 @@ fn peak_hz(columns: &[ResidualTable]) -> Option<f64> {
     for table in columns {
         for (rows, axis) in parts.iter().flat_map(|rows| [0, 1, 2].map(|axis| (rows.clone(), axis)))
         {
-            let values = table.residual_g.get(rows)?;
+            let values = table.residual.get(rows)?;
             let signal: Vec<f64> = values
                 .chunks_exact(pooled)
                 .take(length)
@@ -162,8 +162,8 @@ mod tests {
                     let left = if sensor == 3 { signal(time_s) } else { 0.0 };
                     table.recording.push(recording);
                     table.time_s.push(time_s);
-                    table.residual_g.push(Vector3::new(noise(), noise(), left + noise()));
-                    table.floor_g2.push(Vector3::repeat(0.01));
+                    table.residual.push(Vector3::new(noise(), noise(), left + noise()));
+                    table.floor2.push(Vector3::repeat(0.01));
                 }
                 table
             })

@@ -134,7 +134,7 @@ impl LoadLoop {
         let values: Vec<&[f32]> = forces.iter().map(|force| force.values.as_slice()).collect();
         let binning = Binning::of(&values)?;
         let residual: Vec<Vec<Vector3<f64>>> =
-            before.iter().map(|table| table.residual_g.clone()).collect();
+            before.iter().map(|table| table.residual.clone()).collect();
         let branches = [1.0, -1.0].map(|sign| {
             let mut branch = binning.clone();
             for (bins, directions) in branch.of.iter_mut().zip(&directions) {
@@ -174,7 +174,7 @@ impl EffectShape {
         let sensors = 0..self.sensors.len();
         let channels = sensors.flat_map(|sensor| [0, 1, 2].map(|axis| (sensor, axis)));
         let spread = |(sensor, axis): (usize, usize)| {
-            let mean = |bin: &Bin| Some(bin.mean_g.get(sensor)?[axis]);
+            let mean = |bin: &Bin| Some(bin.mean.get(sensor)?[axis]);
             let means: Vec<f64> = self.bins.iter().filter_map(mean).collect();
             variance(&means, &self.rows())
         };
@@ -287,7 +287,7 @@ fn shape(
 /// Differences of two residuals of the same rows, by sensor.
 fn removed(before: &[ResidualTable], after: &[ResidualTable]) -> Vec<Vec<Vector3<f64>>> {
     let difference = |(before, after): (&ResidualTable, &ResidualTable)| {
-        let rows = before.residual_g.iter().zip(&after.residual_g);
+        let rows = before.residual.iter().zip(&after.residual);
         rows.map(|(before, after)| before - after).collect()
     };
     before.iter().zip(after).map(difference).collect()
@@ -319,7 +319,7 @@ mod tests {
 
     fn sensor(number: u32, residual: [f64; 4]) -> ResidualTable {
         let mut sensor = ResidualTable::new(number, &[]);
-        sensor.residual_g = residual.map(|x| Vector3::new(x, 0.0, -x)).to_vec();
+        sensor.residual = residual.map(|x| Vector3::new(x, 0.0, -x)).to_vec();
         sensor
     }
 
@@ -348,7 +348,7 @@ mod tests {
             let (rising, place) = (row < 200, row % 200);
             let force = if rising { place as f32 - 100.0 } else { 100.0 - place as f32 } / 10.0;
             before.time_s.push(0.01 * f64::from(row));
-            before.residual_g.push(Vector3::new(0.0, if rising { 1.0 } else { 3.0 }, 0.0));
+            before.residual.push(Vector3::new(0.0, if rising { 1.0 } else { 3.0 }, 0.0));
             for column in &mut before.covariates {
                 let is_force = column.of.name == "fx_n";
                 column.values.push(if is_force {
@@ -360,7 +360,7 @@ mod tests {
                 });
             }
         }
-        let removed = [before.residual_g.clone()];
+        let removed = [before.residual.clone()];
         let found = LoadLoop::new(&[before.clone()], &removed, Axis::X).unwrap();
         assert_eq!(found.widest(), Some(((0, 1), 4.0)));
         assert!(found.before_g[0].iter().all(|bin| bin[0] == [0.0, 1.0, 0.0]));
@@ -373,7 +373,7 @@ mod tests {
     fn strongest_channel_has_the_largest_variance() {
         let bin = |x: f64| Bin {
             rows: 10,
-            mean_g: vec![[50.0, 0.0, 0.0], [0.0, x, 2.0 * x]],
+            mean: vec![[50.0, 0.0, 0.0], [0.0, x, 2.0 * x]],
             ..Bin::default()
         };
         let shape = EffectShape {

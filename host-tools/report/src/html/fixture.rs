@@ -114,13 +114,14 @@ fn located(k: usize, sensors: u32) -> Attribution {
             to: 40.0 * x + 1.0,
             centre: 40.0 * x,
             rows: 560,
-            rms_g: 4.0,
+            rms: 4.0,
             share: 0.06,
-            mean_g: (0..sensors).map(means).collect(),
-            band_g: (0..sensors).map(|s| means(s).map(|mean| (mean - wide, mean + wide))).collect(),
+            mean: (0..sensors).map(means).collect(),
+            band: (0..sensors).map(|s| means(s).map(|mean| (mean - wide, mean + wide))).collect(),
         }
     });
     Attribution {
+        error_unit: ErrorUnit::Newton,
         covariate: covariate.into(),
         words: words.into(),
         unit,
@@ -146,11 +147,12 @@ fn map() -> ResidualMap {
         _ => 0.5 * (1.0 + 14.0 * (-(column as f64) / 2.0).exp() + 0.2 * (row as f64 - 3.5).powi(2)),
     };
     ResidualMap {
+        error_unit: ErrorUnit::Newton,
         axes: ["opening in mm".to_owned(), "lateral force in N".to_owned()],
-        rms_g: (0..8).map(|row| (0..8).map(|column| cell(row, column)).collect()).collect(),
+        rms: (0..8).map(|row| (0..8).map(|column| cell(row, column)).collect()).collect(),
         across,
         upwards,
-        floor_g: 0.46,
+        floor: 0.46,
     }
 }
 
@@ -201,11 +203,12 @@ pub fn comparison(recordings: usize, sensors: u32, error: f64) -> Comparison {
         map: Some(map()),
         worst: (0..5)
             .map(|k| WorstInterval {
+                error_unit: ErrorUnit::Newton,
                 recording: format!("{:02}-grasp-and-walk", k % recordings.max(1) + 1),
                 from_s: 3.2 + 4.9 * k as f64,
                 to_s: 4.6 + 4.9 * k as f64,
                 sensor: 3 - (k as u32 % 2),
-                rms_g: 14.3 - 1.7 * k as f64,
+                rms: 14.3 - 1.7 * k as f64,
                 conditions: vec![MeanCondition { label: "opening", mean: 2.1, unit: "mm" }],
             })
             .collect(),

@@ -4,8 +4,9 @@ use maud::{Markup, html};
 use plotters::prelude::*;
 use plotters::style::colors::colormaps::{ColorMap, ViridisRGB};
 
-use crate::html::palette;
 use crate::html::plot::{Along, AxisScale, Failure, Paper, axes, bounds, figure, letters, px};
+use crate::html::summary::initial;
+use crate::html::{both, palette};
 use analysis::compare::{Comparison, ResidualMap};
 use analysis::numbers::number;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
@@ -19,14 +20,28 @@ const NARROWEST: (f64, f64) = (30.0, 15.0);
 /// Number of steps of the colour bar.
 const STEPS: i32 = 48;
 
-/// The map, if any.
+/// The map of the model, and of the baseline if any, with one scale of colours.
 pub fn section(comparison: &Comparison) -> Markup {
+    let models = both(comparison);
+    let maps = models
+        .iter()
+        .rev()
+        .filter_map(|(role, letter, model)| Some((initial(*role, letter), model.map.as_ref()?)));
+    let maps: Vec<_> = maps.collect();
+    let floors = maps.iter().flat_map(|(_, map)| cells(map)).map(|(_, floors)| floors);
+    let colours = bounds(floors).map(|(least, greatest)| Colours {
+        // A minimum range, so that noise does not fill the colour scale.
+        least: least.min(1.0),
+        greatest: greatest.max(2.0),
+    });
     html! {
         section #map {
             h2 { "Map over two covariates" }
-            @match &comparison.map {
+            @match &colours {
                 None => p.empty { "No pair of covariates was recorded well enough." },
-                Some(map) => (plot(map)),
+                Some(colours) => div.pair {
+                    @for (letter, map) in &maps { (plot(letter, map, colours)) }
+                },
             }
         }
     }
@@ -34,42 +49,40 @@ pub fn section(comparison: &Comparison) -> Markup {
 
 /// Corners and multiples of the floor of each cell.
 fn cells(map: &ResidualMap) -> Vec<([(f64, f64); 2], f64)> {
-    let rows = map.upwards.windows(2).zip(&map.rms_g);
+    let rows = map.upwards.windows(2).zip(&map.rms);
     rows.flat_map(|(y, row)| {
         let columns = map.across.windows(2).zip(row);
-        columns.filter_map(move |(x, rms_g)| {
+        columns.filter_map(move |(x, rms)| {
             let (&[left, right], &[low, high]) = (x, y) else {
                 return None;
             };
-            let floors = rms_g / map.floor_g;
+            let floors = rms / map.floor;
             (floors.is_finite() && floors > 0.0).then_some(([(left, low), (right, high)], floors))
         })
     })
     .collect()
 }
 
-fn plot(map: &ResidualMap) -> Markup {
+fn plot(letter: &Markup, map: &ResidualMap, colours: &Colours) -> Markup {
     let cells = cells(map);
-    let Some((least, greatest)) = bounds(cells.iter().map(|(_, floors)| *floors)) else {
-        return html! { p.empty { "No data." } };
-    };
-    // A minimum range, so that noise does not fill the colour scale.
-    let colours = Colours { least: least.min(1.0), greatest: greatest.max(2.0) };
+    let of_cells = bounds(cells.iter().map(|(_, floors)| *floors));
+    let (least, greatest) = of_cells.unwrap_or((colours.least, colours.greatest));
     let [across, upwards] = &map.axes;
     let says = format!(
-        "Map of the root mean square over {across} and {upwards}, in floors of {} G: from {} to {}.",
-        number(map.floor_g),
+        "Map of the root mean square over {across} and {upwards}, in floors of {} {}: from {} to {}.",
+        number(map.floor),
+        map.error_unit.symbol(),
         number(least),
         number(greatest)
     );
     let drawn = figure(SIZE, &says, |paper| {
         let (left, right) = paper.split_horizontally(px(f64::from(SIZE.0 as i32 - BAR)));
-        grid(&left, map, &cells, &colours)?;
-        bar(&right, &colours)
+        grid(&left, map, &cells, colours)?;
+        bar(&right, colours)
     });
     html! {
         figure.map {
-            figcaption { "RMS in floors (1 = " (number(map.floor_g)) " G); grey: not measured" }
+            figcaption { (letter) " RMS in floors (1 = " (number(map.floor)) " " (map.error_unit.symbol()) "); grey: not measured" }
             (drawn)
         }
     }

@@ -99,7 +99,8 @@ pub fn head(comparison: &Comparison) -> Markup {
     }
 }
 
-fn initial(role: Role, letter: &str) -> Markup {
+/// Letter of a model in its colour.
+pub fn initial(role: Role, letter: &str) -> Markup {
     html! { span.letter style=(format!("color:var(--{})", role.name)) { (letter) } }
 }
 

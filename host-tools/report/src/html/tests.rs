@@ -96,7 +96,7 @@ fn invalid_numbers_are_not_drawn() {
     broken.located[1].bins.clear();
     broken.histograms[0].edges.fill(hole);
     if let Some(map) = &mut broken.map {
-        map.rms_g[2].fill(f64::INFINITY);
+        map.rms[2].fill(f64::INFINITY);
     }
     for [measured, modelled] in &mut broken.traces[0].field {
         measured.low.fill(hole);

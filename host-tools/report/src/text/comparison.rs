@@ -2,8 +2,8 @@
 
 use analysis::compare::attribution::MIN_SHARE;
 use analysis::compare::{
-    AT_FLOOR, Attribution, Bin, Comparison, FieldAxisErrors, ForceAxisErrors, ForceError,
-    MeanCondition, MissingForces, Validation, WorstInterval, floor_g, rms_g,
+    AT_FLOOR, Attribution, Bin, Comparison, ErrorUnit, FieldAxisErrors, ForceAxisErrors,
+    ForceError, MeanCondition, MissingForces, Validation, WorstInterval, floor_g, rms_g,
 };
 use analysis::data_quality::Finding;
 use analysis::numbers::{self, field, three_digits};
@@ -252,7 +252,9 @@ fn attribution_table(comparison: &Comparison) -> String {
             "{HEADING}Attribution of the residual{HEADING:#}\nNone of {candidates} covariates explains the residual.\n{not_recorded}\n"
         );
     }
-    let heads = ["", "residual follows", "share", "from", "mean error by bin", "to", "of", "± G"];
+    let unit = shown.first().map_or_else(Default::default, |one| one.error_unit);
+    let scale = format!("± {}", unit.symbol());
+    let heads = ["", "residual follows", "share", "from", "mean error by bin", "to", "of", &scale];
     let mut table = terminal::table(heads);
     for (i, one) in shown.into_iter().enumerate() {
         let ends = one.bins.first().zip(one.bins.last());
@@ -271,7 +273,7 @@ fn attribution_table(comparison: &Comparison) -> String {
             channel.map_or_else(String::new, |channel| sparkline(one, channel)),
             end(ends.map(|(_, last)| last.to)),
             channel.map_or_else(String::new, |(sensor, axis)| {
-                format!("s{} {}", one.sensors[sensor], ["x", "y", "z"][axis])
+                format!("s{} {}", one.sensors[sensor], unit.axis_names()[axis])
             }),
             channel
                 .map_or_else(String::new, |channel| numbers::three_digits(max_mean(one, channel))),
@@ -283,10 +285,21 @@ fn attribution_table(comparison: &Comparison) -> String {
         page += &terminal::paragraph(&format!("{line}."));
     }
     page += &terminal::paragraph(&format!(
-        "Share: of the squared residual above the floor, on held-out rows, in addition to the previous covariates. Bars: the channel with the largest variation, from -G to +G. Correlation time of the residual: {:.2} s.",
+        "Residual: {}. Share: of the squared residual above the floor, on held-out rows, in addition to the previous covariates. Bars: the channel with the largest variation, to the value in the last column. Correlation time of the residual: {:.2} s.",
+        residual_words(unit),
         comparison.correlation_s
     ));
     page + &not_recorded + "\n"
+}
+
+/// What a residual is.
+pub fn residual_words(unit: ErrorUnit) -> &'static str {
+    match unit {
+        ErrorUnit::Newton => {
+            "error of both forces that the residual of the field causes in the device's inverse, in newtons"
+        }
+        ErrorUnit::Gauss => "measured minus modelled field, in gauss",
+    }
 }
 
 /// The covariates on which nothing can be said; `None` if all were recorded.
@@ -317,7 +330,7 @@ fn strongest(located: &Attribution) -> Option<(usize, usize)> {
 }
 
 fn means(located: &Attribution, (sensor, axis): (usize, usize)) -> Vec<f64> {
-    located.bins.iter().filter_map(|bin| Some(bin.mean_g.get(sensor)?[axis])).collect()
+    located.bins.iter().filter_map(|bin| Some(bin.mean.get(sensor)?[axis])).collect()
 }
 
 /// Maximum absolute mean error of any bin.
@@ -416,13 +429,13 @@ fn worst_json(interval: &WorstInterval) -> Value {
 }
 
 fn worst_segments(list: &[WorstInterval]) -> String {
-    let heads = ["worst segments", "seconds", "rms / G", "max at", "activity"];
+    let heads = ["worst segments", "seconds", "rms", "max at", "activity"];
     let mut table = terminal::table(heads);
     for one in list {
         table.add_row([
             format!("recording {}", one.recording),
             format!("{:.0} to {:.0}", one.from_s, one.to_s),
-            format!("{:.3}", one.rms_g),
+            format!("{:.3} {}", one.rms, one.error_unit.symbol()),
             format!("s{}", one.sensor),
             conditions(one),
         ]);
@@ -714,6 +727,7 @@ mod tests {
             share: 0.48,
             alone: 0.48,
             chosen: true,
+            error_unit: ErrorUnit::Newton,
             sensors: vec![0],
             bins: shares.iter().enumerate().map(bin).collect(),
         }

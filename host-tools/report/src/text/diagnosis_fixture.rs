@@ -36,8 +36,8 @@ pub fn shape(effects: &[&str], words: &str, unit: &'static str) -> EffectShape {
             to: x + 1.0,
             centre: x + 0.5,
             rows: 100,
-            mean_g: vec![[x, 0.0, 0.1], [0.0, second, 0.0]],
-            band_g: vec![[(-2.0, 2.0); 3], [(second - 0.3, second + 0.3); 3]],
+            mean: vec![[x, 0.0, 0.1], [0.0, second, 0.0]],
+            band: vec![[(-2.0, 2.0); 3], [(second - 0.3, second + 0.3); 3]],
             ..Bin::default()
         }
     };
@@ -48,7 +48,7 @@ pub fn shape(effects: &[&str], words: &str, unit: &'static str) -> EffectShape {
         words: words.to_owned(),
         unit,
         sensors: vec![0, 3],
-        taken_g: bins.iter().map(|bin| bin.mean_g.clone()).collect(),
+        taken_g: bins.iter().map(|bin| bin.mean.clone()).collect(),
         load_loop: None,
         bins,
     }

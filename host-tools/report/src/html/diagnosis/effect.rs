@@ -122,8 +122,8 @@ fn channel(shape: &EffectShape, (sensor, axis): (usize, usize)) -> String {
 fn points(shape: &EffectShape, (sensor, axis): (usize, usize)) -> Vec<[f64; 5]> {
     let bins = shape.bins.iter().zip(&shape.taken_g);
     let point = |(bin, taken): (&analysis::compare::Bin, &Vec<[f64; 3]>)| {
-        let (low, high) = bin.band_g.get(sensor)?[axis];
-        let mean = bin.mean_g.get(sensor)?[axis];
+        let (low, high) = bin.band.get(sensor)?[axis];
+        let mean = bin.mean.get(sensor)?[axis];
         Some([bin.centre, mean, low, high, taken.get(sensor)?[axis]])
     };
     bins.filter_map(point).collect()
