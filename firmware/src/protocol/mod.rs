@@ -22,6 +22,25 @@ use crate::fixed_point::Force;
 pub const DEFAULT_NODE: u16 = 0x10;
 /// Major and minor version of the messages.
 pub const PROTOCOL_VERSION: (u8, u8) = (2, 0);
+
+/// Versions of protocol and firmware on a board of this kind, with these tables.
+pub const fn firmware_version(hardware: u8, tables: u16) -> messages::Version {
+    const fn number(text: &str) -> u8 {
+        match u8::from_str_radix(text, 10) {
+            Ok(number) => number,
+            Err(_) => u8::MAX,
+        }
+    }
+    messages::Version {
+        protocol_major: PROTOCOL_VERSION.0,
+        protocol_minor: PROTOCOL_VERSION.1,
+        firmware_major: const { number(env!("CARGO_PKG_VERSION_MAJOR")) },
+        firmware_minor: const { number(env!("CARGO_PKG_VERSION_MINOR")) },
+        firmware_patch: const { number(env!("CARGO_PKG_VERSION_PATCH")) },
+        hardware,
+        tables,
+    }
+}
 /// [`messages::GripStatus::position`] of an unknown opening, as before homing.
 pub const OPENING_UNKNOWN: u16 = 0x3FFF;
 /// Value of an unknown temperature in [`messages::Power`].

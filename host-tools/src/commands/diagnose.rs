@@ -128,7 +128,7 @@ pub fn run(args: &Args) -> Result<()> {
             bar.finish();
             diagnosis.findings.clone_from(&findings);
             let is_fitted_here = other_recordings.is_none();
-            let delay_ms = 1e-3 * alignment.delay_us;
+            let delay_ms = alignment.delay_us / 1e3;
             diagnosis.set_suggestion(&own, model.base, delay_ms, is_fitted_here);
             (diagnosis, refit)
         }

@@ -178,6 +178,11 @@ fn check_compensated(built: &DeviceModel, command: &str) -> anyhow::Result<()> {
 
 /// Prints on stderr under which conditions the board compensates the effects of a model.
 fn print_conditions(built: &DeviceModel) {
+    if let Some(state) = &built.header.valid_from {
+        eprintln!(
+            "note: the tables hold the gripper's state of {state}: calibrate again after further changes"
+        );
+    }
     for (effect, conditions) in &built.conditions {
         eprintln!("note: the board compensates {effect} {}", conditions.join("; "));
     }

@@ -156,8 +156,8 @@ impl RangeLimit {
             }
             Self::Stroke => "a stiffer beam, or a longer stroke",
             Self::SensorRange => "a wider gap, or a smaller magnet",
-            Self::Fold => "a stiffer beam, a limiting_axis stroke, a wider magnet or a wider gap",
-            Self::Collision => "a wider gap, a longer beam, or a limiting_axis stroke",
+            Self::Fold => "a stiffer beam, a shorter stroke, a wider magnet or a wider gap",
+            Self::Collision => "a wider gap, a longer beam, or a shorter stroke",
         }
     }
 }

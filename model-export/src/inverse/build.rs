@@ -4,7 +4,7 @@ use std::path::Path;
 
 use sha2::{Digest, Sha256};
 
-use crate::effects::{DeviceForm, Effect, EffectTerm};
+use crate::effects::{DeviceForm, Effect, EffectTerm, ErrorOrigin};
 use crate::input;
 use crate::inverse::compensation::{NotCompensable, OwnedCompensation, board_conditions};
 use crate::inverse::model_selection::{SelectedModels, select_models};
@@ -54,6 +54,8 @@ pub struct ExportHeader {
     pub recorded: Vec<String>,
     /// Names of the model's effects.
     pub effects: Vec<String>,
+    /// Where effects change the gripper permanently: those effects, and the time of the state that the tables hold.
+    pub valid_from: Option<String>,
     /// Numbers of the sensors, in the order of the tables.
     pub sensors: Vec<u32>,
 }
@@ -145,7 +147,9 @@ pub fn build_model(
             table.parity.sigma = 0;
         }
     }
+    let valid_from = valid_from(&model, &additions);
     let header = ExportHeader {
+        valid_from,
         inputs_sha256: hex(&digest),
         variant: match variant {
             ModelVariant::Fitted => "fitted parameters",
@@ -180,6 +184,15 @@ pub fn build_model(
         compensations,
         header,
     })
+}
+
+/// "softening, as at the end of recording 3 (2026-03-02)".
+fn valid_from(model: &ModelFile, effects: &[EffectTerm]) -> Option<String> {
+    let lasting = effects.iter().filter(|of| of.error_origin() == ErrorOrigin::History);
+    let names: Vec<&str> = lasting.map(EffectTerm::name).collect();
+    let last = model.provenance.recordings.last().filter(|_| !names.is_empty())?;
+    let date = last.recorded.as_ref().map_or_else(String::new, |date| format!(" ({date})"));
+    Some(format!("{}, as at the end of recording {}{date}", names.join(", "), last.name))
 }
 
 /// Effects with their values at one sensor.

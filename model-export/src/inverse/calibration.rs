@@ -38,6 +38,9 @@ pub struct CalibrationDescription {
     /// Names of the effects in the model.
     #[serde(default)]
     pub effects: Vec<String>,
+    /// Permanent changes of the gripper, and the time of the state that the tables hold.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub valid_from: Option<String>,
     /// For each effect that needs covariates, the conditions under which the board compensates it.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub conditions: BTreeMap<String, Vec<String>>,
@@ -58,6 +61,7 @@ impl CalibrationDescription {
             recorded: header.recorded.clone(),
             uploaded: None,
             effects: header.effects.clone(),
+            valid_from: header.valid_from.clone(),
             conditions: conditions.collect(),
         }
     }

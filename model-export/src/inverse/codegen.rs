@@ -98,6 +98,8 @@ fn comment(chosen: &SelectedModels, header: &ExportHeader) -> String {
     } else {
         header.recorded.join(", ")
     };
+    let state = header.valid_from.iter().map(|state| format!("// state     {state}\n"));
+    let state: String = state.collect();
     let mut text = format!(
         "{MARK} Do not edit: fit again and export again.\n\
          //\n\
@@ -105,6 +107,7 @@ fn comment(chosen: &SelectedModels, header: &ExportHeader) -> String {
          // model     {}, campaign {}\n\
          // effects   {}\n\
          // recorded  {recorded}\n\
+         {state}\
          // shape     {} x {} centres, gamma {:.4}, ridge {:.0e}\n\
          //\n\
          // Over the design box, in newtons, root mean square / greatest, for Fx and Fz:\n",

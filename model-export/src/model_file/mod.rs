@@ -417,7 +417,7 @@ impl Provenance {
                 .collect::<Result<_, DataError>>()?,
             rows: campaign.recordings.iter().map(|r| r.time_s.len()).sum(),
             half_window_ms: 1e3 * half_widths.fold(0.0, f64::max),
-            delay_ms: 1e-3 * delay_us,
+            delay_ms: delay_us / 1e3,
             seed: options.seed,
             tool: format!("magpie {}", env!("CARGO_PKG_VERSION")),
         })

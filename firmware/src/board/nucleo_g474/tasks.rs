@@ -28,7 +28,7 @@ use crate::model::calibration::Payload;
 use crate::model::tables::{DESCRIPTION, NETWORKS, TABLES, TablesCalibration};
 use crate::motor::screw::Screw;
 use crate::parameters::Backdrivability;
-use crate::protocol::PROTOCOL_VERSION;
+use crate::protocol::firmware_version;
 use crate::protocol::messages::Version;
 use crate::sensors::hall::{GripperHallSensor, SENSORS};
 use crate::system::faults::Event;
@@ -125,7 +125,7 @@ async fn begin(spawner: Spawner, board: Peripherals<B>) {
     spawner.spawn(once(feed(shared, watchdog)));
     spawner.spawn(once(temperatures(shared, board.thermometer)));
     spawner.spawn(once(scrub(shared, calibration)));
-    let version = version(tables.id);
+    let version = firmware_version(B::HARDWARE, tables.id);
     spawner.spawn(once(transmit(shared, board.can_tx, node, version)));
     spawner.spawn(once(transmit_serial(shared, board.serial_tx)));
     spawner.spawn(once(receive_serial(shared, board.serial_rx, node)));
@@ -236,25 +236,6 @@ async fn host_service(
         reboot: || cortex_m::peripheral::SCB::sys_reset(),
     };
     tasks::host_service(service, &BoardClock, shared).await;
-}
-
-const fn number(text: &str) -> u8 {
-    match u8::from_str_radix(text, 10) {
-        Ok(number) => number,
-        Err(_) => u8::MAX,
-    }
-}
-
-fn version(tables: u16) -> Version {
-    Version {
-        protocol_major: PROTOCOL_VERSION.0,
-        protocol_minor: PROTOCOL_VERSION.1,
-        firmware_major: const { number(env!("CARGO_PKG_VERSION_MAJOR")) },
-        firmware_minor: const { number(env!("CARGO_PKG_VERSION_MINOR")) },
-        firmware_patch: const { number(env!("CARGO_PKG_VERSION_PATCH")) },
-        hardware: B::HARDWARE,
-        tables,
-    }
 }
 
 fn log(event: Event) {

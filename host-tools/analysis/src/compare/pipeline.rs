@@ -183,7 +183,7 @@ pub(crate) fn evaluate(
     (findings, options): (&[Finding], FitOptions),
     notes: &mut Vec<Note>,
 ) -> Result<Comparison> {
-    let (fitted_ms, delay_ms) = (model.provenance.delay_ms, 1e-3 * source.alignment.delay_us);
+    let (fitted_ms, delay_ms) = (model.provenance.delay_ms, source.alignment.delay_us / 1e3);
     if fitted_ms != delay_ms {
         notes.push(Note::ComparisonDelay { model: path.to_path_buf(), fitted_ms, delay_ms });
     }

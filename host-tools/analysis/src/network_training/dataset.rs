@@ -73,7 +73,7 @@ impl TrainingData {
                 .map_or_else(|_| recording_name(campaign), |absolute| recording_name(&absolute)),
             recordings,
             model_sha256: built.header.inputs_sha256.clone(),
-            delay_ms: 1e-3 * alignment.delay_us,
+            delay_ms: alignment.delay_us / 1e3,
             built,
             notes,
         })

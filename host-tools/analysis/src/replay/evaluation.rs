@@ -181,7 +181,7 @@ impl ReplayEvaluation {
 /// Notes on recordings whose alignment or design differs from the model's.
 fn differences(folders: &[PathBuf], model: &ModelFile, alignment: Alignment) -> Result<Vec<Note>> {
     let mut notes = Vec::new();
-    let (fitted_ms, delay_ms) = (model.provenance.delay_ms, 1e-3 * alignment.delay_us);
+    let (fitted_ms, delay_ms) = (model.provenance.delay_ms, alignment.delay_us / 1e3);
     if delay_ms != fitted_ms {
         notes.push(Note::ReplayDelay { fitted_ms, delay_ms });
     }

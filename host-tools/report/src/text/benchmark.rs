@@ -96,8 +96,8 @@ fn explanation(table: &Benchmark, plan: &VariantTrainer) -> String {
         });
     format!(
         "Fixed: device code; previous columns: floating point. Tared: minus the mean estimate over the first unloaded \
-         segment (at most 1 s) of each sensor, except within the friction deadband of the physics with effects; \
-         the device does not tare. Networks are in steady state at rest when the recording begins. Noise: error of \
+         segment (at most 1 s) of each sensor, except within the friction deadband of the physics with effects, as the device \
+         does on command. Networks are in steady state at rest when the recording begins. Noise: error of \
          a single reading due to white noise of sensor and reference; networks average over readings. Weighted \
          rows: 1 + {} exp(-(F / W)^2 / 2), where W is a tenth of the force range. {coverage}{data}Seed {}.",
         numbers::decimal(plan.zero_weight - 1.0, 2),

@@ -91,6 +91,7 @@ pub fn to_json(chosen: &SelectedModels, header: &ExportHeader) -> Value {
         "sensors": sensors.collect::<Vec<_>>(),
         "centres": chosen.shape.centres_across * chosen.shape.centres_across,
         "gamma": chosen.shape.gamma, "ridge": chosen.shape.ridge,
+        "valid_from": header.valid_from,
         "id": chosen.tables.id, "inputs_sha256": header.inputs_sha256,
     })
 }

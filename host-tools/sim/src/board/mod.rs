@@ -44,8 +44,7 @@ use firmware::motor::MotorCommand;
 use firmware::motor::limits::Temperatures;
 use firmware::motor::screw::Screw;
 use firmware::parameters::{self, Parameters};
-use firmware::protocol::messages::Version;
-use firmware::protocol::{DEFAULT_NODE, PROTOCOL_VERSION};
+use firmware::protocol::{DEFAULT_NODE, firmware_version};
 use firmware::sensors::hall::a31301::A31301;
 use firmware::sensors::hall::{HallSensor, SENSORS};
 use firmware::sensors::imu::Lsm6ds3;
@@ -67,7 +66,7 @@ use model_export::inverse::quantise::TableSet;
 use std::cell::{Cell, RefCell};
 use std::rc::Rc;
 
-/// Hardware number of this board in [`Version`].
+/// Hardware number of this board in its version message.
 const HARDWARE: u8 = 0;
 
 /// Motor of the board and its limits.
@@ -410,7 +409,7 @@ impl VirtualTimeBoard {
         let events = self.events.clone();
         self.spawn(async move {
             let log = |event| events.borrow_mut().push((clock.now_us(), event));
-            let version = version(tables_id);
+            let version = firmware_version(HARDWARE, tables_id);
             tasks::transmit(sender, (DEFAULT_NODE, version), log, &clock, &exchange).await;
         });
         let (clock, exchange) = parts();
@@ -436,7 +435,7 @@ impl VirtualTimeBoard {
                 Some(state >> 16)
             };
             let service = HostService {
-                version: version(tables_id),
+                version: firmware_version(HARDWARE, tables_id),
                 store,
                 loaded,
                 calibration: CalibrationService {
@@ -513,14 +512,4 @@ impl SimulatedBoard for VirtualTimeBoard {
 fn grasp(program: &Program, screw: Screw, limits: GripLimits) -> GripController {
     let locks = program.parameters.backdrivability() == parameters::Backdrivability::SelfLocking;
     GripController::new(limits, screw, locks)
-}
-
-fn version(tables: u16) -> Version {
-    Version {
-        protocol_major: PROTOCOL_VERSION.0,
-        protocol_minor: PROTOCOL_VERSION.1,
-        hardware: HARDWARE,
-        tables,
-        ..Version::default()
-    }
 }

@@ -420,7 +420,7 @@ impl Choice {
     ) -> Vec<String> {
         let campaign = campaign.display().to_string();
         let line = |words: &[&str]| shell_words::join(["cargo", "magpie"].iter().chain(words));
-        let (delay_ms, seed) = (format!("{}", 1e-3 * alignment.delay_us), seed.to_string());
+        let (delay_ms, seed) = (format!("{}", alignment.delay_us / 1e3), seed.to_string());
         let delay: &[&str] =
             if alignment.delay_us == 0.0 { &[] } else { &["--delay-ms", &delay_ms] };
         let seed: &[&str] = if seed == "1" { &[] } else { &["--seed", &seed] };

@@ -67,7 +67,7 @@ fn describe<'a>(residuals: &ModelResiduals<'a>, group: &[Shift]) -> Found<'a> {
         recordings: RecordingSet { names: names.collect(), is_all: whole },
         sensors: group[0].sensors,
         share: fall,
-        delay_ms: mean_ms + 1e-3 * residuals.alignment.delay_us,
+        delay_ms: mean_ms + residuals.alignment.delay_us / 1e3,
     };
     Found::new(place, evidence)
 }
