@@ -12,6 +12,7 @@ use anstyle::Style;
 use model_export::effects::find;
 use serde_json::{Value, json};
 
+use crate::text::causes::causes_sentence;
 use crate::text::comparison::{data_findings, dependence, stopped_verdict};
 use crate::text::recording_plan::{self, format_proposal};
 use crate::text::terminal::{self, GOOD, HEADING, NARROW_WIDTH, WARNING};
@@ -296,12 +297,14 @@ pub fn formula_heading(diagnosis: &Diagnosis, formula: &DiscoveredFormula) -> St
 /// What a formula explains.
 pub fn formula_evidence(diagnosis: &Diagnosis, formula: &DiscoveredFormula) -> String {
     let floors = formula_floors(diagnosis, formula);
-    format!(
-        "No effect of the catalogue explains as much with as few coefficients. It {} (family-wise p {:.3}), to {floors:.2} times the noise floor. It is a \
-         formula, not a cause: find what moves with it.",
+    let evidence = format!(
+        "No effect of the catalogue explains as much with as few coefficients. It {} (family-wise p {:.3}), to {floors:.2} times the \
+         noise floor. A formula is not a cause. {}",
         reduction(formula.gain),
-        formula.p_value
-    )
+        formula.p_value,
+        causes_sentence(&formula.covariates)
+    );
+    evidence.trim_end().to_owned()
 }
 
 /// Where else the same function can act.
