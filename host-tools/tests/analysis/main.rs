@@ -7,6 +7,7 @@ mod compare;
 mod demo;
 mod diagnose;
 mod diagnose_variants;
+mod force_error;
 mod networks;
 mod setup_errors;
 #[path = "../workdir/mod.rs"]
