@@ -34,7 +34,7 @@ pub fn estimate(
     let (Some(table), Some(reading)) = (tables.sensor(number), reading) else {
         return Estimate::MISSING;
     };
-    let measured = reading.field.map(Field::from_counts);
+    let measured = table.axes.apply(reading.field.map(Field::from_counts));
     let saturated = reading
         .field
         .iter()

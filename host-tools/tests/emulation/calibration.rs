@@ -14,6 +14,7 @@ use model_export::inverse::build::{ModelVariant, build};
 use model_export::inverse::calibration::{CalibrationDescription, encode_calibration};
 use sim::closed_loop::bench::{BenchSetup, EmulatedBench};
 use sim::closed_loop::emulated_board::ChipConditions;
+use sim::mountings::Mountings;
 use tests::data;
 
 use crate::Effort;
@@ -49,6 +50,7 @@ fn records(seconds: u32) -> Result<(), Failed> {
         seed: 1,
         excitation_seed: 1,
         scatter: 1.0,
+        mountings: Mountings::default(),
         effects: Vec::new(),
         recordings: 1,
         seconds: seconds.into(),
@@ -79,6 +81,7 @@ fn calibrates(effect: &str) -> Result<(), Failed> {
         seed: 1,
         excitation_seed: 1,
         scatter: 1.0,
+        mountings: Mountings::default(),
         effects: vec![effect.parse().map_err(|error| format!("{error:#}"))?],
         recordings: 3,
         seconds: 6.0,

@@ -10,7 +10,7 @@ use crate::fit::parameters::{self, PARAMETERS};
 use crate::fit::polynomial::Polynomial;
 use crate::fit::rows::RecordingRows;
 use crate::model_file::{BaseKind as BaseName, EffectModel, ModelFile};
-use crate::physics::{ForwardModel, PhysicalState};
+use crate::physics::PhysicalState;
 use crate::recordings::columns::Axis;
 
 /// Forward model of one sensor with its effects.
@@ -50,7 +50,7 @@ impl ModelFile {
         let sensor = self.sensors.iter().find(|sensor| sensor.number == number)?;
         let base = match self.base {
             BaseName::Cylinder => {
-                let nominal = ForwardModel::nominal(self.design.as_ref()?);
+                let nominal = self.nominal(number)?;
                 let value = |name: &str| Some(sensor.parameters.get(name)?.value);
                 PredictorBase::FromState {
                     base: Box::new(CylinderBase { nominal }),

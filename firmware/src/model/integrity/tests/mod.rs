@@ -16,6 +16,7 @@ use crate::compensation::thermal::{
 };
 use crate::compensation::{Compensation, FieldEffect, ForceEffect, MAX_EFFECTS};
 use crate::fixed_point::{Field, Force};
+use crate::model::axis_map::AxisMap;
 use crate::model::calibration::{CalibrationMemory, CompensationMemory, POOL_INTEGERS, Payload};
 use crate::model::encoding::*;
 use crate::model::formats::*;
@@ -61,6 +62,7 @@ fn sensor(number: u8) -> SensorTable {
     let mut numbers = Numbers(number.into());
     SensorTable {
         number,
+        axes: AxisMap(0o016),
         scale: array::from_fn(|_| AxisScale { offset: numbers.next(), gain: numbers.next() }),
         limit_counts: numbers.next() as i16,
         linear: Linear { bias: numbers.many(), slope: numbers.rows() },
