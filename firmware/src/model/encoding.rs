@@ -16,6 +16,7 @@ use crate::compensation::thermal::{
 };
 use crate::compensation::{Compensation, FieldEffect, ForceEffect, MAX_EFFECTS};
 use crate::fixed_point::{Field, Force};
+use crate::model::axis_map::AxisMap;
 use crate::model::formats::{
     AxisScale, CentrePair, EXP_ENTRIES, GATES, Guard, Head, Input, InputSource, Linear, MOST_PAIRS,
     Network, OUTPUTS, PARITY_TERMS, Pair, Parity, Products, SensorTable, Tables, Target, UnitPair,
@@ -203,6 +204,24 @@ macro_rules! newtypes {
     )*};
 }
 newtypes!(Field, Force);
+
+impl Encode for AxisMap {
+    const WORDS: usize = 1;
+
+    fn visit(&self, window: &mut Window) {
+        self.0.visit(window);
+    }
+}
+
+impl Decode<'_> for AxisMap {
+    // No rotation, but zero: memory for tables that are not used takes no flash.
+    const ZERO: Self = Self(0);
+
+    fn read(&mut self, reader: &mut Reader) -> Option<()> {
+        self.0.read(reader)?;
+        self.is_rotation().then_some(())
+    }
+}
 
 impl<T: Encode> Encode for &T {
     const WORDS: usize = T::WORDS;
@@ -395,7 +414,7 @@ fields! { only encoded: ['a] Tables<'a> {
     without check
 } }
 fields! { [] SensorTable {
-    number: u8, scale: [AxisScale; 3], limit_counts: i16, linear: Linear, pairs: [CentrePair; MOST_PAIRS],
+    number: u8, axes: AxisMap, scale: [AxisScale; 3], limit_counts: i16, linear: Linear, pairs: [CentrePair; MOST_PAIRS],
     used_pairs: u8, shift: [u8; 2], parity: Parity
 } }
 fields! { [] AxisScale { offset: i32, gain: i32 } }

@@ -16,6 +16,7 @@
 #[rustfmt::skip]
 use crate::compensation::{*, crosstalk::*, flexure::*, hysteresis::*, lookup_table::*, thermal::*};
 
+use crate::model::axis_map::AxisMap;
 use crate::model::formats::*;
 
 /// The ideal model of every sensor.
@@ -24,7 +25,7 @@ pub static TABLES: Tables<'static> = Tables {
     exp: &EXP,
     sensors: &SENSORS,
     compensations: &COMPENSATIONS,
-    check: 0x30934b9b,
+    check: 0x31fdf57f,
 };
 
 static EXP: [u32; EXP_ENTRIES] = [
@@ -98,6 +99,7 @@ static SENSORS: [SensorTable; 4] = [
     // Sensor 0.
     SensorTable {
         number: 0,
+        axes: AxisMap(0o210),
         scale: [
             AxisScale { offset: -1429, gain: 295961 },
             AxisScale { offset: 149313, gain: 269624 },
@@ -140,6 +142,7 @@ static SENSORS: [SensorTable; 4] = [
     // Sensor 1.
     SensorTable {
         number: 1,
+        axes: AxisMap(0o210),
         scale: [
             AxisScale { offset: 1243, gain: 279884 },
             AxisScale { offset: 161133, gain: 264424 },
@@ -182,6 +185,7 @@ static SENSORS: [SensorTable; 4] = [
     // Sensor 2.
     SensorTable {
         number: 2,
+        axes: AxisMap(0o210),
         scale: [
             AxisScale { offset: -3552, gain: 250878 },
             AxisScale { offset: 152373, gain: 250386 },
@@ -224,6 +228,7 @@ static SENSORS: [SensorTable; 4] = [
     // Sensor 3.
     SensorTable {
         number: 3,
+        axes: AxisMap(0o210),
         scale: [
             AxisScale { offset: 1487, gain: 292771 },
             AxisScale { offset: 152788, gain: 268460 },

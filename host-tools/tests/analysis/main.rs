@@ -9,6 +9,7 @@ mod diagnose;
 mod diagnose_variants;
 mod force_error;
 mod networks;
+mod orientation;
 mod setup_errors;
 #[path = "../workdir/mod.rs"]
 mod workdir;

@@ -11,7 +11,6 @@ use crate::inverse::model_selection::{SelectedModels, select_models};
 use crate::inverse::quantise::TableOverflow;
 use crate::inverse::static_model::StaticModel;
 use crate::model_file::ModelFile;
-use crate::physics::ForwardModel;
 use crate::recordings::error::ErrorKind;
 use crate::recordings::recording::hex;
 use crate::recordings::{DataError, Location};
@@ -96,14 +95,13 @@ pub fn build_model(
         ModelVariant::Fitted => model.effect_terms(place)?,
         ModelVariant::Nominal => Vec::new(),
     };
-    let nominal = model.design.as_ref().map(ForwardModel::nominal);
     let scale = model.sensor_scale;
     let numbers: Vec<u32> = model.sensors.iter().map(|sensor| sensor.number).collect();
     let (mut static_models, mut compensations) = (Vec::new(), Vec::new());
     for &number in &numbers {
         let forward = match variant {
             ModelVariant::Fitted => model.forward(number),
-            ModelVariant::Nominal => nominal,
+            ModelVariant::Nominal => model.nominal(number),
         };
         let forward =
             forward.ok_or_else(|| BuildError::Polynomial { place: Location::file(place) })?;
@@ -142,6 +140,9 @@ pub fn build_model(
                     overflow: Box::new(overflow),
                 }
             })?;
+        if let Some(mounting) = model.mounting(number) {
+            table.axes = mounting.orientation.axis_map();
+        }
         if variant == ModelVariant::Nominal {
             // The residual of a gripper that was not calibrated is unknown: it must not be taken for a magnet.
             table.parity.sigma = 0;

@@ -19,7 +19,7 @@ use crate::input::{
 use crate::inverse::codegen;
 use crate::inverse::grbf::{GrbfShape, MAX_CENTRES_ACROSS};
 use crate::output::write_output;
-use crate::physics::ForwardModel;
+use crate::physics::{ForwardModel, SensorMounting};
 use crate::recordings::description::{NominalDesign, parse_toml};
 use crate::recordings::error::ErrorKind;
 use crate::recordings::recording::recording_name;
@@ -146,7 +146,9 @@ impl ModelFile {
         options: FitOptions,
     ) -> Result<FitSetup, FitError> {
         match self.base {
-            BaseKind::Cylinder => FitSetup::cylinder(campaign),
+            BaseKind::Cylinder => {
+                FitSetup::cylinder_mounted(campaign, |number| self.mounting(number))
+            }
             BaseKind::Polynomial => FitSetup::polynomial(campaign, self.degree(), options),
         }
     }
@@ -333,9 +335,24 @@ impl ModelFile {
         sigma_g.filter(|sigma_g| sigma_g.is_finite()).unwrap_or(0.0)
     }
 
+    /// Mounting of a sensor; `None` for an unknown one. Its magnet is reversed where remanence and design differ in sign.
+    pub fn mounting(&self, number: u32) -> Option<SensorMounting> {
+        let sensor = self.sensors.iter().find(|sensor| sensor.number == number)?;
+        let design = self.design.as_ref().map(|design| design.magnet.remanence_t);
+        let fitted = sensor.parameters.get("remanence").map(|fitted| fitted.value);
+        let is_reversed = design.zip(fitted).is_some_and(|(design, fitted)| design * fitted < 0.0);
+        Some(SensorMounting { orientation: sensor.orientation, is_reversed })
+    }
+
+    /// The nominal design with the polarity of one sensor; `None` for a polynomial or an unknown sensor.
+    pub fn nominal(&self, number: u32) -> Option<ForwardModel> {
+        let nominal = ForwardModel::nominal(self.design.as_ref()?);
+        Some(self.mounting(number)?.nominal(&nominal))
+    }
+
     /// The forward model of one sensor; `None` for a polynomial or an unknown sensor.
     pub fn forward(&self, number: u32) -> Option<ForwardModel> {
-        let nominal = ForwardModel::nominal(self.design.as_ref()?);
+        let nominal = self.nominal(number)?;
         let sensor = self.sensors.iter().find(|sensor| sensor.number == number)?;
         let mut values = parameters::values(&nominal);
         for (value, parameter) in values.iter_mut().zip(&PARAMETERS) {

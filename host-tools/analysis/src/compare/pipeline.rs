@@ -138,7 +138,7 @@ pub(crate) fn model_findings(
         let rows = model.sensors.iter().filter_map(|sensor| {
             let predictor = model.predictor(sensor.number, additions)?;
             let rows = SensorRows::with_own_forces(&campaign, sensor.number).ok()?;
-            Some((rows, predictor))
+            Some((rows.turned(sensor.orientation), predictor))
         });
         let rows: Vec<(SensorRows, Predictor)> = rows.collect();
         let place_of = |recording: usize| {
