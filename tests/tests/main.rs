@@ -7,5 +7,6 @@ mod fitting;
 mod ideal_model;
 mod import;
 mod magnet_fields;
+mod orientation;
 mod recording_errors;
 mod third_party_data;

@@ -242,7 +242,11 @@ impl<'t, N: NetworkBank> Estimator<'t, N> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::vec::Vec;
+
     use crate::estimator::gru::GruBank;
+    use crate::model::axis_map::AxisMap;
+    use crate::model::formats::SensorTable;
     use crate::model::tables::{NETWORKS, TABLES};
 
     fn frame(tick: u32) -> HallFrame {
@@ -252,6 +256,32 @@ mod tests {
             (tick != 100 + sensor).then_some(HallReading { field, temperature: 8 })
         });
         HallFrame { time_us: 1000 * tick, readings }
+    }
+
+    #[test]
+    fn estimates_of_turned_sensors_are_those_of_the_nominal_ones() {
+        let inputs = AuxiliaryInputs { opening_um: Some(40_000), ..AuxiliaryInputs::default() };
+        for axes in (0..0o1000).map(AxisMap).filter(|map| map.is_rotation()) {
+            let turn = |reading: HallReading| {
+                let mut field = [0; 3];
+                for ((axis, is_negated), counts) in axes.axes().into_iter().zip(reading.field) {
+                    field[usize::from(axis)] = if is_negated { -counts } else { counts };
+                }
+                HallReading { field, ..reading }
+            };
+            let turned = |table: &SensorTable| SensorTable { axes, ..*table };
+            let sensors: Vec<SensorTable> = TABLES.sensors.iter().map(turned).collect();
+            let tables = Tables { sensors: &sensors, ..TABLES };
+            let [mut nominal, mut other] = [&TABLES, &tables]
+                .map(|tables| Estimator::new(tables, GruBank::<_, _, _, SENSORS>::new(&NETWORKS)));
+            for tick in 1..200 {
+                let frame = frame(tick);
+                let readings = frame.readings.map(|reading| reading.map(turn));
+                let turned = HallFrame { readings, ..frame };
+                let expected = nominal.update(&frame, &inputs);
+                assert_eq!(other.update(&turned, &inputs), expected, "{axes:?} {tick}");
+            }
+        }
     }
 
     #[test]

@@ -21,11 +21,13 @@ impl AxisMap {
 
     /// Whether this is one of the 24 rotations by right angles.
     pub fn is_rotation(self) -> bool {
-        let [(x, x_negated), (y, y_negated), (z, z_negated)] = self.axes();
-        let is_cyclic = matches!((x, y, z), (0, 1, 2) | (1, 2, 0) | (2, 0, 1));
-        let is_permutation = is_cyclic || matches!((x, y, z), (0, 2, 1) | (1, 0, 2) | (2, 1, 0));
-        let is_mirrored = x_negated ^ y_negated ^ z_negated;
-        self.0 < 0o1000 && is_permutation && is_cyclic != is_mirrored
+        let order = self.0 & !0o444;
+        let is_odd = (self.0 ^ (self.0 >> 3) ^ (self.0 >> 6)) & 4 != 0;
+        if is_odd {
+            matches!(order, 0o012 | 0o120 | 0o201)
+        } else {
+            matches!(order, 0o021 | 0o102 | 0o210)
+        }
     }
 
     /// A vector in the sensor's axes, in those of the gripper.
