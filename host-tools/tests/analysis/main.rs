@@ -8,6 +8,7 @@ mod demo;
 mod diagnose;
 mod diagnose_variants;
 mod networks;
+mod orientation;
 mod setup_errors;
 #[path = "../workdir/mod.rs"]
 mod workdir;

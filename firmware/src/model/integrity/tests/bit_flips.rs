@@ -69,7 +69,7 @@ macro_rules! flip_fields {
     )*};
 }
 flip_fields! {
-    [] SensorTable: number, scale, limit_counts, linear, pairs, used_pairs, shift, parity;
+    [] SensorTable: number, axes, scale, limit_counts, linear, pairs, used_pairs, shift, parity;
     [] AxisScale: offset, gain;
     [] Linear: bias, slope;
     [] CentrePair: xy, z, weight;
@@ -136,7 +136,7 @@ macro_rules! flip_wrapped {
         }
     )*};
 }
-flip_wrapped!(Field, Force);
+flip_wrapped!(AxisMap, Field, Force);
 
 /// Flips every bit, asserts that each flip is detected, and returns the number of bits.
 pub fn assert_flips_detected<T: BitFlip>(

@@ -203,8 +203,8 @@ fn every_flipped_bit_of_the_ideal_model_is_detected() {
         owned.sensors[2] = *sensor;
         owned.checksum() == intact
     });
-    // Bytes: 1 + 24 + 2 + 32 + 50 * 20 + 1 + 2 + 1 + 112 + 4.
-    assert_eq!(bits, 8 * 1179);
+    // Bytes: 1 + 2 + 24 + 2 + 32 + 50 * 20 + 1 + 2 + 1 + 112 + 4.
+    assert_eq!(bits, 8 * 1181);
     // The other sensors and the entries of the exponential are traversed alike: one bit of each.
     type Flip = fn(&mut OwnedTables, usize);
     let flips: [(usize, Flip); 4] = [
@@ -428,14 +428,15 @@ fn the_checksum_is_the_zlib_crc32_of_the_words() {
 
 #[test]
 fn a_window_of_one_word_covers_that_word() {
-    // Number 1, scale 6, limit 1, linear 8, pairs 50 * 10, used 1, shift 2, parity 1 + 28 + 1.
+    // Number 1, axes 1, scale 6, limit 1, linear 8, pairs 50 * 10, used 1, shift 2, parity 1 + 28 + 1.
     let sensor = sensor(3);
-    assert_eq!((word_count(&sensor), SensorTable::WORDS), (549, 549));
+    assert_eq!((word_count(&sensor), SensorTable::WORDS), (550, 550));
     for (skip, word) in [
         (0, Some(3)),
-        (1, Some(sensor.scale[0].offset as u32)),
-        (548, Some(sensor.parity.sigma as u32)),
-        (549, None),
+        (1, Some(sensor.axes.0.into())),
+        (2, Some(sensor.scale[0].offset as u32)),
+        (549, Some(sensor.parity.sigma as u32)),
+        (550, None),
     ] {
         let mut seen = Vec::new();
         visit(&sensor, &mut Window::new(skip, 1, &mut |word, _| seen.push(word)));
@@ -447,7 +448,7 @@ fn a_window_of_one_word_covers_that_word() {
 fn consecutive_windows_give_the_checksum_of_the_whole() {
     OwnedTables::new().with(|tables| {
         let words = word_count(&tables);
-        for count in [1, 7, 549, 1000, words] {
+        for count in [1, 7, 550, 1000, words] {
             let mut digest = CRC32.digest();
             for from in (0..words).step_by(count) {
                 digest = update(&tables, from, count, digest);
