@@ -249,7 +249,8 @@ fn slower_recordings_are_replayed_at_the_rate_of_the_device() {
     let built = build(&dir.path("model.toml"), ModelVariant::Fitted).unwrap();
     let errors_n = |folder: &Path| {
         let models = [ReplayModels::of(&built)];
-        let replays = replay_each(&models.map(Into::into), "", stream(folder), |_| (), |_, _| ()).unwrap();
+        let replays =
+            replay_each(&models.map(Into::into), "", stream(folder), |_| (), |_, _| ()).unwrap();
         (replays[0].rows, replays[0].sensors[0].axes.map(|axis| axis.error.rms()))
     };
     let (rows, at_1_khz) = errors_n(&dir.path("slow/2"));
