@@ -14,7 +14,7 @@ pub mod tare;
 pub use crate::estimator::estimate::{Estimate, Validity};
 
 use crate::compensation::auxiliary_inputs::AuxiliaryInputs;
-use crate::compensation::{Compensated, Compensation, CompensationState};
+use crate::compensation::{Compensated, Compensation, CompensationState, MAX_PASSES};
 use crate::config::limits::DetectionLimits;
 use crate::estimator::disturbance::DisturbanceDetector;
 use crate::estimator::network_monitor::NetworkMonitor;
@@ -40,14 +40,28 @@ pub fn estimate(
         .iter()
         .any(|counts| counts.unsigned_abs() >= table.limit_counts.unsigned_abs());
     let effects = tables.compensation(number);
-    let field = match effects {
-        Some(effects) => effects.compensate_field(measured, reading.temperature, inputs, state),
-        None => Compensated { value: measured, missing_inputs: false },
-    };
-    let ideal = ideal::evaluate(tables, table, field.value);
-    let force = match effects {
-        Some(effects) => effects.compensate_force(ideal.force, inputs, state),
-        None => Compensated { value: ideal.force, missing_inputs: false },
+    let mut passes = effects.map_or(1, |effects| effects.passes.min(MAX_PASSES));
+    let (field, ideal, force) = loop {
+        // Dynamic effects advance once per tick.
+        let mut next = *state;
+        let field = match effects {
+            Some(effects) => {
+                effects.compensate_field(measured, reading.temperature, inputs, &mut next)
+            }
+            None => Compensated { value: measured, missing_inputs: false },
+        };
+        let ideal = ideal::evaluate(tables, table, field.value);
+        let force = match effects {
+            Some(effects) => effects.compensate_force(ideal.force, inputs, &mut next),
+            None => Compensated { value: ideal.force, missing_inputs: false },
+        };
+        passes = passes.saturating_sub(1);
+        if passes == 0 {
+            next.estimates.force = force.value;
+            *state = next;
+            break (field, ideal, force);
+        }
+        state.estimates.force = force.value;
     };
     let missing_inputs = field.missing_inputs || force.missing_inputs;
     // Before homing the residual contains the field of the opposing finger's magnet, which changes with every motion.

@@ -105,7 +105,7 @@ pub fn build_model(
         };
         let forward =
             forward.ok_or_else(|| BuildError::Polynomial { place: Location::file(place) })?;
-        let effects = values(&model, &additions, number, recordings, place)?;
+        let effects = effect_values(&model, &additions, number, recordings, place)?;
         let rest = StaticModel::new(forward, &effects, recordings, model.table_state(number));
         compensations.extend(OwnedCompensation::build(
             number,
@@ -197,7 +197,7 @@ fn valid_from(model: &ModelFile, effects: &[EffectTerm]) -> Option<String> {
 }
 
 /// Effects with their values at one sensor.
-fn values(
+pub(super) fn effect_values(
     model: &ModelFile,
     additions: &[EffectTerm],
     number: u32,

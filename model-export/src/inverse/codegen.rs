@@ -74,8 +74,10 @@ fn compensations(list: &[OwnedCompensation]) -> String {
         let field = view.field.map(|effect| literal(&effect, "FieldEffect"));
         let force = view.force.map(|effect| literal(&effect, "ForceEffect"));
         text += &format!(
-            "    Compensation {{ number: {}, field: [{}], force: [{}] }},\n",
+            "    Compensation {{ number: {}, passes: {}, filters: {}, field: [{}], force: [{}] }},\n",
             view.number,
+            view.passes,
+            with_covariates(format!("{:?}", view.filters)),
             field.join(", "),
             force.join(", ")
         );
@@ -85,11 +87,14 @@ fn compensations(list: &[OwnedCompensation]) -> String {
 
 /// `Some(Kind::Variant(Table { .. }))` or `None`, with a reference before every slice.
 fn literal(effect: &impl std::fmt::Debug, kind: &str) -> String {
-    format!("{effect:?}")
+    with_covariates(format!("{effect:?}"))
         .replacen("Some(", &format!("Some({kind}::"), 1)
-        .replace("covariate: ", "covariate: Covariate::")
         .replace("knots: [[", "knots: &[[")
         .replace("values: [", "values: &[")
+}
+
+fn with_covariates(text: String) -> String {
+    text.replace("covariate: ", "covariate: Covariate::")
 }
 
 fn comment(chosen: &SelectedModels, header: &ExportHeader) -> String {

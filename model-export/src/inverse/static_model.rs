@@ -2,10 +2,10 @@
 //! their state at the end of the campaign. Everything else is neutral: reference temperature, no ambient field.
 
 use crate::effects::{DeviceForm, EffectTerm, FinalState, StateSeries};
-use crate::physics::{ForwardModel, ModelFrames, PhysicalState};
+use crate::physics::{FieldResponse, ForwardModel, ModelFrames, PhysicalState};
 use firmware::fixed_point::Field;
 use firmware::model::formats::COORDINATE_LIMIT;
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Vector3;
 
 /// Half the step of numerical derivatives, relative to the force range.
 const STEP: f64 = 0.002;
@@ -77,9 +77,9 @@ impl StaticModel {
         self.linearised(force_n).1
     }
 
-    /// dB/dd in G/mm under these forces.
-    pub fn per_mm(&self, force_n: [f64; 2]) -> Matrix3<f64> {
-        self.model.response_at(&self.frames, &self.state(force_n)).per_mm
+    /// Reading and derivatives under these forces.
+    pub fn response(&self, force_n: [f64; 2]) -> FieldResponse {
+        self.model.response_at(&self.frames, &self.state(force_n))
     }
 
     fn state(&self, force_n: [f64; 2]) -> PhysicalState {

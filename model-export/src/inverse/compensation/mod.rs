@@ -2,14 +2,18 @@
 
 mod effect_tables;
 mod lookup_table;
+mod support;
 
+pub use support::{DeviceSupport, device_support};
+
+use firmware::compensation::lookup_table::{CovariateFilter, FILTERS};
 use firmware::compensation::{Compensation, FieldEffect, ForceEffect, MAX_EFFECTS, crosstalk};
 use firmware::fixed_point::{Field, Force};
 use nalgebra::{Matrix3, Vector3};
 use serde::Serialize;
 
 use crate::effects::{DeviceForm, EffectTerm};
-use crate::inverse::compensation::lookup_table::OwnedMap;
+use crate::inverse::compensation::lookup_table::{OwnedFieldMap, OwnedForceMap, OwnedMap};
 use crate::inverse::static_model::StaticModel;
 
 /// An effect that the device cannot compensate.
@@ -24,10 +28,15 @@ pub struct NotCompensable {
     pub why: String,
 }
 
+/// Passes of a tick where an effect depends on a force.
+const FORCE_PASSES: u8 = 2;
+
 /// Owned compensation of one sensor.
 #[derive(Clone, Debug, Default)]
 pub struct OwnedCompensation {
     number: u8,
+    passes: u8,
+    filters: Vec<CovariateFilter>,
     field: Vec<OwnedOnField>,
     force: Vec<OwnedOnForce>,
 }
@@ -36,13 +45,13 @@ pub struct OwnedCompensation {
 enum OwnedOnField {
     Scalar(FieldEffect<'static>),
     Neighbour(Box<[[i32; 3]; crosstalk::KNOTS]>),
-    Map([OwnedMap; 3]),
+    Map(OwnedFieldMap),
 }
 
 #[derive(Clone, Debug)]
 enum OwnedOnForce {
     Scalar(ForceEffect<'static>),
-    Map([OwnedMap; 2]),
+    Map(OwnedForceMap),
 }
 
 /// Converts the effects of one sensor into the device's formats.
@@ -89,7 +98,8 @@ impl OwnedCompensation {
         gauss_per_lsb: f64,
     ) -> Result<Option<Self>, NotCompensable> {
         let units = f64::from(1_u32 << Field::BITS) / gauss_per_lsb;
-        let mut own = Self { number: number as u8, ..Self::default() };
+        let mut own = Self { number: number as u8, passes: 1, ..Self::default() };
+        let mut feedback = 0.0;
         let mut sorted: Vec<&(EffectTerm, Vec<f64>)> = effects.iter().collect();
         // In reverse order of the measuring chain.
         sorted.sort_by_key(|(effect, _)| std::cmp::Reverse(effect.stage()));
@@ -107,10 +117,18 @@ impl OwnedCompensation {
                 // A polynomial, the only base with channel-wise effects, has no inverse.
                 // In the tables of the inverse model.
                 EffectTerm::Expression(formula) if formula.depends_on_forces_alone() => {}
-                EffectTerm::Expression(formula) => match converter.map(formula, values)? {
-                    lookup_table::Maps::Field(maps) => own.field.push(OwnedOnField::Map(maps)),
-                    lookup_table::Maps::Force(maps) => own.force.push(OwnedOnForce::Map(maps)),
-                },
+                EffectTerm::Expression(formula) => {
+                    let converted = converter.formula(formula, values, &mut own.filters)?;
+                    match converted.map {
+                        OwnedMap::Field(map) => own.field.push(OwnedOnField::Map(map)),
+                        OwnedMap::Force(map) => own.force.push(OwnedOnForce::Map(map)),
+                    }
+                    if let Some(one) = converted.feedback {
+                        feedback += one;
+                        converter.check_feedback(feedback)?;
+                        own.passes = FORCE_PASSES;
+                    }
+                }
             }
         }
         let count = own.field.len().max(own.force.len());
@@ -149,8 +167,12 @@ impl OwnedCompensation {
 
     /// The device's view.
     pub fn view(&self) -> Compensation<'_> {
+        let mut filters = [None; FILTERS];
+        filters.iter_mut().zip(&self.filters).for_each(|(slot, filter)| *slot = Some(*filter));
         let mut view = Compensation {
             number: self.number,
+            passes: self.passes,
+            filters,
             field: [None; MAX_EFFECTS],
             force: [None; MAX_EFFECTS],
         };
@@ -162,13 +184,13 @@ impl OwnedCompensation {
                         knots: &knots[..],
                     })
                 }
-                OwnedOnField::Map(maps) => FieldEffect::Map(maps.each_ref().map(OwnedMap::view)),
+                OwnedOnField::Map(map) => FieldEffect::Map(map.view()),
             });
         }
         for (slot, effect) in view.force.iter_mut().zip(&self.force) {
             *slot = Some(match effect {
                 OwnedOnForce::Scalar(scalar) => *scalar,
-                OwnedOnForce::Map(maps) => ForceEffect::Map(maps.each_ref().map(OwnedMap::view)),
+                OwnedOnForce::Map(map) => ForceEffect::Map(map.view()),
             });
         }
         view

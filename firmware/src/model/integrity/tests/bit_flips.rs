@@ -74,7 +74,7 @@ flip_fields! {
     [] Linear: bias, slope;
     [] CentrePair: xy, z, weight;
     [] Parity: axis, terms, sigma;
-    ['a] Compensation<'a>: number, field, force;
+    ['a] Compensation<'a>: number, passes, filters, field, force;
     [] SensorTemperatureTable: offset, gain;
     [] MotorLeakageTable: per_ma;
     [] EarthFieldTable: world, element;
@@ -86,6 +86,9 @@ flip_fields! {
     [] HysteresisTable: sliders;
     [] Slider: reach, share;
     [] FingertipMassTable: mass;
+    [] CovariateFilter: gain; without covariate;
+    ['a] FieldMap<'a>: table, along, matrix;
+    ['a] ForceMap<'a>: table, along;
     ['a] LookupTable<'a>: sides; without values;
     [] LookupAxis: from, step, knots; without covariate;
     [] Network<2, 4, 1>: sensors, inputs, force, warm_up, guards, weights; without target, check;

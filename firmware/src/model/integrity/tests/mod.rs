@@ -10,7 +10,9 @@ use crate::compensation::flexure::{
     CreepTable, FingertipMassTable, HardStopTable, ViscousLagTable,
 };
 use crate::compensation::hysteresis::{HysteresisTable, Slider};
-use crate::compensation::lookup_table::{Covariate, LookupAxis, LookupTable};
+use crate::compensation::lookup_table::{
+    Covariate, CovariateFilter, FieldMap, ForceMap, LookupAxis, LookupTable,
+};
 use crate::compensation::thermal::{
     MagnetTemperatureTable, SensorTemperatureTable, ThermalGapTable,
 };
@@ -80,20 +82,18 @@ fn sensor(number: u8) -> SensorTable {
 /// All effects on the field and on the forces, two of each per sensor.
 fn compensations<'a>(knots: &'a [[i32; 3]; KNOTS], values: &'a [i32]) -> [Compensation<'a>; 4] {
     let numbers = &mut Numbers(7);
-    let table = |covariate| LookupTable {
-        sides: [Some(LookupAxis { covariate, from: 3, step: 5, knots: 2 }), None],
-        values,
-    };
+    let side = |covariate| Some(LookupAxis { covariate, from: 3, step: 5, knots: 2 });
+    let table = |one, other| LookupTable { sides: [side(one), side(other), None], values };
     let field = [
         FieldEffect::SensorTemperature(SensorTemperatureTable { offset: numbers.many(), gain: 5 }),
         FieldEffect::MotorLeakage(MotorLeakageTable { per_ma: numbers.rows() }),
         FieldEffect::EarthField(EarthFieldTable { world: numbers.many(), element: numbers.rows() }),
         FieldEffect::NeighbourMagnet(NeighbourMagnetTable { knots }),
-        FieldEffect::Map([
-            table(Covariate::Opening),
-            table(Covariate::MotorIq),
-            table(Covariate::Acceleration(2)),
-        ]),
+        FieldEffect::Map(FieldMap {
+            table: table(Covariate::Force(1), Covariate::Acceleration(2)),
+            along: numbers.many(),
+            matrix: numbers.rows(),
+        }),
         FieldEffect::MagnetTemperature(MagnetTemperatureTable {
             without: numbers.many(),
             per_count: 9,
@@ -114,10 +114,20 @@ fn compensations<'a>(knots: &'a [[i32; 3]; KNOTS], values: &'a [i32]) -> [Compen
             }),
         }),
         ForceEffect::FingertipMass(FingertipMassTable { mass: 8 }),
-        ForceEffect::Map([table(Covariate::MotorAngle), table(Covariate::Temperature)]),
+        ForceEffect::Map(ForceMap {
+            table: table(Covariate::Lagged(0), Covariate::Rate(1)),
+            along: numbers.many(),
+        }),
     ];
     array::from_fn(|number| Compensation {
         number: number as u8,
+        passes: 2,
+        filters: [
+            Some(CovariateFilter { covariate: Covariate::Temperature, gain: 77 }),
+            Some(CovariateFilter { covariate: Covariate::Force(0), gain: 99 }),
+            None,
+            None,
+        ],
         field: array::from_fn(|at| field.get(at + 2 * number).copied()),
         force: array::from_fn(|at| force.get(at + 2 * number).copied()),
     })
@@ -262,10 +272,10 @@ fn changed_effects_of_a_compensation_are_detected() {
         }
     }
     let mut changed = original;
-    let Some(ForceEffect::Map([map, _])) = &mut changed[0].force[5] else {
+    let Some(ForceEffect::Map(map)) = &mut changed[0].force[5] else {
         panic!("no map");
     };
-    map.sides[0].as_mut().unwrap().covariate = Covariate::Opening;
+    map.table.sides[0].as_mut().unwrap().covariate = Covariate::Opening;
     assert_ne!(checksum(&changed), intact);
 }
 
@@ -379,8 +389,8 @@ fn what_does_not_fit_is_not_loaded() {
     let loaded = |integers: usize, networks: &[Network<2, 8, 1>]| {
         owned.with(|tables| decoded(&Payload { tables: &tables, networks }, integers, |_| ()))
     };
-    // A table over the opening at sensors 0 and 1; five, three and one maps of ten values.
-    let needed = 2 * 3 * KNOTS + 10 * (3 + 2 + 3 + 2 + 3 + 2);
+    // A table over the opening at sensors 0 and 1; two maps of ten values at three sensors.
+    let needed = 2 * 3 * KNOTS + 10 * (2 + 2 + 2);
     assert_eq!(loaded(needed - 1, &[]), None);
     assert_eq!(loaded(needed, &[]), Some(()));
     let five = array::from_fn::<_, 5, _>(|_| network());

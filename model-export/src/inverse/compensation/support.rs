@@ -1,0 +1,95 @@
+//! Whether the device compensates an effect, and if not, why: known before a model is exported.
+
+use std::fmt;
+use std::path::Path;
+
+use serde::Serialize;
+
+use crate::effects::{DeviceForm, EffectTerm};
+use crate::inverse::build::effect_values;
+use crate::inverse::compensation::{OwnedCompensation, board_conditions, lookup_table};
+use crate::inverse::static_model::StaticModel;
+use crate::model_file::{BaseKind, ModelFile};
+
+/// Whether the device compensates an effect.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct DeviceSupport {
+    /// Name of the effect.
+    pub effect: String,
+    /// Whether the forces of the device are free of its error.
+    pub runs: bool,
+    /// How or when the device compensates it, or why it does not; may be empty.
+    pub detail: String,
+}
+
+impl fmt::Display for DeviceSupport {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match (self.runs, self.detail.as_str()) {
+            (true, "") => f.write_str("yes"),
+            (true, detail) => write!(f, "yes, {detail}"),
+            (false, reason) => write!(f, "no, because {reason}"),
+        }
+    }
+}
+
+impl DeviceSupport {
+    /// Of an effect, as far as it does not depend on the values of its parameters.
+    pub fn of(effect: &EffectTerm) -> Self {
+        let support =
+            |runs: bool, detail: String| Self { effect: effect.name().to_owned(), runs, detail };
+        let on_device = || support(true, board_conditions(&effect.needs()).join("; "));
+        if effect.is_function_of_force() {
+            return support(true, "by the tables of the ideal model".to_owned());
+        }
+        match effect {
+            EffectTerm::Catalogue(known) => match known.device {
+                DeviceForm::Tables | DeviceForm::Field(_) | DeviceForm::Force(_) => on_device(),
+                DeviceForm::Settled => {
+                    support(true, "in its state at the end of the recordings".to_owned())
+                }
+                DeviceForm::Bench { remedy, .. } => {
+                    support(true, format!("which does not have it: {remedy}"))
+                }
+                DeviceForm::Never(why) => support(false, why.to_owned()),
+            },
+            EffectTerm::Expression(formula) => match lookup_table::unsupported(formula) {
+                Some(why) => support(false, why),
+                None => on_device(),
+            },
+        }
+    }
+}
+
+/// Of all effects of a model, with the values of their parameters at every sensor.
+pub fn device_support(model: &ModelFile, effects: &[EffectTerm]) -> Vec<DeviceSupport> {
+    let recordings = model.provenance.recordings.len();
+    let of = |effect: &EffectTerm| {
+        let support = DeviceSupport::of(effect);
+        if !support.runs {
+            return support;
+        }
+        let refused = |reason: &str| DeviceSupport {
+            runs: false,
+            detail: reason.to_owned(),
+            ..support.clone()
+        };
+        if model.base == BaseKind::Polynomial {
+            return refused("a polynomial of the forces has no unique inverse");
+        }
+        let refusal = model.sensors.iter().find_map(|sensor| {
+            let number = sensor.number;
+            let forward = model.forward(number)?;
+            let all = match effect_values(model, effects, number, recordings, Path::new("")) {
+                Ok(all) => all,
+                Err(error) => return Some(error.to_string()),
+            };
+            let own: Vec<_> = all.iter().filter(|(own, _)| own == effect).cloned().collect();
+            let rest = StaticModel::new(forward, &all, recordings, model.table_state(number));
+            let gauss_per_lsb = model.sensor_scale.gauss_per_lsb;
+            let built = OwnedCompensation::build(number, &rest, &own, gauss_per_lsb);
+            built.err().map(|error| format!("{} (sensor {number})", error.why))
+        });
+        refusal.map_or_else(|| support.clone(), |reason| refused(&reason))
+    };
+    effects.iter().map(of).collect()
+}
