@@ -43,7 +43,8 @@ fn compensation(effect: &Effect) -> String {
         }
         DeviceForm::Tables => "on the device, by the tables of the ideal model.".to_owned(),
         DeviceForm::Settled => {
-            "not over time; the device's tables hold the state at the end of the campaign.".to_owned()
+            "not over time; the device's tables hold the state at the end of the campaign."
+                .to_owned()
         }
         DeviceForm::Bench { remedy, .. } => {
             format!("not needed on the device: it is an error of the test bench; {remedy}.")
