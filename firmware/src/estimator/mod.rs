@@ -255,12 +255,19 @@ impl<'t, N: NetworkBank> Estimator<'t, N> {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use std::vec::Vec;
 
+    use super::*;
+    use crate::compensation::flexure::{CREEP_BITS, CREEP_PARTS, CreepTable};
+    use crate::compensation::lookup_table::{
+        ALONG_BITS, Covariate, FILTERS, ForceMap, LookupAxis, LookupTable, VALUE_BITS,
+    };
+    use crate::compensation::{ForceEffect, MAX_EFFECTS};
     use crate::estimator::gru::GruBank;
     use crate::model::axis_map::AxisMap;
-    use crate::model::formats::SensorTable;
+    use crate::model::formats::{
+        AxisScale, GAIN_BITS, Linear, Parity, SLOPE_BITS, SensorTable, padded,
+    };
     use crate::model::tables::{NETWORKS, TABLES};
 
     fn frame(tick: u32) -> HallFrame {
@@ -270,6 +277,71 @@ mod tests {
             (tick != 100 + sensor).then_some(HallReading { field, temperature: 8 })
         });
         HallFrame { time_us: 1000 * tick, readings }
+    }
+
+    /// Forces along x of a sensor whose elastic force is 10 N in every tick, in force units.
+    fn forces(compensation: Compensation, ticks: usize) -> Vec<i32> {
+        let axis = AxisScale { offset: 0, gain: 1 << GAIN_BITS };
+        let slope = 1 << SLOPE_BITS;
+        let sensor = SensorTable {
+            number: 0,
+            axes: AxisMap::NOMINAL,
+            scale: [axis; 3],
+            limit_counts: 16_000,
+            linear: Linear { bias: [0; 2], slope: [[slope, 0, 0], [0, 0, slope]] },
+            pairs: padded([]),
+            used_pairs: 0,
+            shift: [0; 2],
+            parity: Parity::NONE,
+        };
+        let tables = Tables { sensors: &[sensor], compensations: &[compensation], ..TABLES };
+        let reading = Some(HallReading { field: [640, 0, 0], temperature: 0 });
+        let mut state = CompensationState::default();
+        let inputs = AuxiliaryInputs::default();
+        let ticks = 0..ticks;
+        ticks.map(|_| estimate(&tables, 0, reading, &inputs, &mut state).force[0].0).collect()
+    }
+
+    /// Effects on the forces in these passes.
+    fn compensation(passes: u8, effect: ForceEffect) -> Compensation {
+        let mut force = [None; MAX_EFFECTS];
+        force[0] = Some(effect);
+        Compensation {
+            number: 0,
+            passes,
+            filters: [None; FILTERS],
+            field: [None; MAX_EFFECTS],
+            force,
+        }
+    }
+
+    #[test]
+    fn effect_of_a_fifth_of_the_force_is_removed_in_two_passes() {
+        // 0.2 F from -100 to 100 N: the force is 10 N / 1.2.
+        let side =
+            LookupAxis { covariate: Covariate::Force(0), from: -102_400, step: 204_800, knots: 2 };
+        let table = LookupTable {
+            sides: [Some(side), None, None],
+            values: &[-1 << VALUE_BITS, 1 << VALUE_BITS],
+        };
+        let map = ForceEffect::Map(ForceMap { table, along: [20_480 << ALONG_BITS, 0] });
+        for (passes, expected) in
+            [(1, [10_240, 8192, 8602]), (2, [8192, 8520, 8533]), (255, [8602, 8533, 8533])]
+        {
+            let found = forces(compensation(passes, map), 3);
+            for (found, expected) in found.iter().zip(expected) {
+                assert!((found - expected).abs() <= 4, "{passes}: {found} {expected}");
+            }
+        }
+    }
+
+    #[test]
+    fn dynamic_effects_advance_once_in_a_tick_of_several_passes() {
+        let share = [[1 << (CREEP_BITS - 5); CREEP_PARTS]; 2];
+        let creep = ForceEffect::Creep(CreepTable { share, rate: [1 << 25, 1 << 22] });
+        let once = forces(compensation(1, creep), 50);
+        assert_eq!(forces(compensation(3, creep), 50), once);
+        assert!(once.iter().any(|force| *force != once[0]));
     }
 
     #[test]

@@ -146,8 +146,7 @@ fn skew_of_the_clocks_is_to_be_aligned() {
     dir.stdout("simulate -o late --effect clock_skew=5 --seconds 12 --sensors 1 --recordings 3");
     dir.stdout("fit late -o model.toml");
     let text = text(&dir.stdout("add model.toml late clock_skew")).replace('\n', " ");
-    let (_, delay_ms) =
-        text.split_once("Align the clocks instead: `cargo magpie fit` with --delay-ms ").unwrap();
+    let (_, delay_ms) = text.split_once("`cargo magpie fit` with --delay-ms ").unwrap();
     let delay_ms: f64 = delay_ms.split_once(',').unwrap().0.parse().unwrap();
     dir.stdout(&format!("fit late -o aligned.toml --delay-ms {delay_ms}"));
     let excess_n = |model: &str| {

@@ -243,7 +243,7 @@ fn device_line(sentence: &str) -> String {
 /// Whether the device compensates these effects, which act together; `None` if it is unknown.
 fn of_device<'d>(diagnosis: &'d Diagnosis, effects: &[&str]) -> Option<&'d DeviceSupport> {
     let known = || diagnosis.device.iter().filter(|of| effects.contains(&of.effect.as_str()));
-    known().find(|of| !of.runs).or_else(|| known().next())
+    known().find(|of| of.runs == Some(false)).or_else(|| known().next())
 }
 
 /// "Runs on the device: yes, after homing." of these effects, which act together; empty if it is unknown.

@@ -6,7 +6,7 @@ mod support;
 
 pub use support::{DeviceSupport, device_support};
 
-use firmware::compensation::lookup_table::{CovariateFilter, FILTERS};
+use firmware::compensation::lookup_table::{Covariate, CovariateFilter, FILTERS, LookupTable};
 use firmware::compensation::{Compensation, FieldEffect, ForceEffect, MAX_EFFECTS, crosstalk};
 use firmware::fixed_point::{Field, Force};
 use nalgebra::{Matrix3, Vector3};
@@ -143,16 +143,20 @@ impl OwnedCompensation {
 
     /// Whether one of the effects needs the sensor's temperature.
     pub fn needs_temperature(&self) -> bool {
-        self.field.iter().any(|effect| {
-            matches!(
-                effect,
-                OwnedOnField::Scalar(
-                    FieldEffect::SensorTemperature(_)
-                        | FieldEffect::MagnetTemperature(_)
-                        | FieldEffect::ThermalGap(_)
-                )
-            )
-        })
+        let view = self.view();
+        let of_field = view.field.iter().flatten().any(|effect| match effect {
+            FieldEffect::SensorTemperature(_)
+            | FieldEffect::MagnetTemperature(_)
+            | FieldEffect::ThermalGap(_) => true,
+            FieldEffect::Map(map) => is_over_temperature(&map.table),
+            _ => false,
+        });
+        let of_force = view.force.iter().flatten().any(|effect| match effect {
+            ForceEffect::Map(map) => is_over_temperature(&map.table),
+            _ => false,
+        });
+        let mut filters = self.filters.iter();
+        of_field || of_force || filters.any(|filter| filter.covariate == Covariate::Temperature)
     }
 
     /// Number of the sensor.
@@ -195,6 +199,10 @@ impl OwnedCompensation {
         }
         view
     }
+}
+
+fn is_over_temperature(table: &LookupTable) -> bool {
+    table.sides.iter().flatten().any(|side| side.covariate == Covariate::Temperature)
 }
 
 impl Converter<'_> {

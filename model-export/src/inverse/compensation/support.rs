@@ -16,18 +16,19 @@ use crate::model_file::{BaseKind, ModelFile};
 pub struct DeviceSupport {
     /// Name of the effect.
     pub effect: String,
-    /// Whether the forces of the device are free of its error.
-    pub runs: bool,
-    /// How or when the device compensates it, or why it does not; may be empty.
+    /// Whether the device compensates it; `None` where it does not need to.
+    pub runs: Option<bool>,
+    /// When the device compensates it, or why it does not; may be empty.
     pub detail: String,
 }
 
 impl fmt::Display for DeviceSupport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match (self.runs, self.detail.as_str()) {
-            (true, "") => f.write_str("yes"),
-            (true, detail) => write!(f, "yes, {detail}"),
-            (false, reason) => write!(f, "no, because {reason}"),
+            (Some(true), "") => f.write_str("yes"),
+            (Some(true), detail) => write!(f, "yes, {detail}"),
+            (Some(false), reason) => write!(f, "no, because {reason}"),
+            (None, reason) => write!(f, "not needed, {reason}"),
         }
     }
 }
@@ -35,26 +36,29 @@ impl fmt::Display for DeviceSupport {
 impl DeviceSupport {
     /// Of an effect, as far as it does not depend on the values of its parameters.
     pub fn of(effect: &EffectTerm) -> Self {
-        let support =
-            |runs: bool, detail: String| Self { effect: effect.name().to_owned(), runs, detail };
-        let on_device = || support(true, board_conditions(&effect.needs()).join("; "));
+        let support = |runs: Option<bool>, detail: String| Self {
+            effect: effect.name().to_owned(),
+            runs,
+            detail,
+        };
+        let conditions = board_conditions(&effect.needs()).join("; ");
         if effect.is_function_of_force() {
-            return support(true, "by the tables of the ideal model".to_owned());
+            return support(Some(true), "by the tables of the ideal model".to_owned());
         }
         match effect {
             EffectTerm::Catalogue(known) => match known.device {
-                DeviceForm::Tables | DeviceForm::Field(_) | DeviceForm::Force(_) => on_device(),
+                DeviceForm::Tables | DeviceForm::Field(_) | DeviceForm::Force(_) => {
+                    support(Some(true), conditions)
+                }
                 DeviceForm::Settled => {
-                    support(true, "in its state at the end of the recordings".to_owned())
+                    support(Some(true), "in its state at the end of the recordings".to_owned())
                 }
-                DeviceForm::Bench { remedy, .. } => {
-                    support(true, format!("which does not have it: {remedy}"))
-                }
-                DeviceForm::Never(why) => support(false, why.to_owned()),
+                DeviceForm::Bench { .. } => support(None, "an error of the test bench".to_owned()),
+                DeviceForm::Never(why) => support(Some(false), why.to_owned()),
             },
             EffectTerm::Expression(formula) => match lookup_table::unsupported(formula) {
-                Some(why) => support(false, why),
-                None => on_device(),
+                Some(why) => support(Some(false), why),
+                None => support(Some(true), conditions),
             },
         }
     }
@@ -65,11 +69,11 @@ pub fn device_support(model: &ModelFile, effects: &[EffectTerm]) -> Vec<DeviceSu
     let recordings = model.provenance.recordings.len();
     let of = |effect: &EffectTerm| {
         let support = DeviceSupport::of(effect);
-        if !support.runs {
+        if support.runs != Some(true) {
             return support;
         }
         let refused = |reason: &str| DeviceSupport {
-            runs: false,
+            runs: Some(false),
             detail: reason.to_owned(),
             ..support.clone()
         };
