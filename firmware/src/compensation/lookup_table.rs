@@ -1,8 +1,9 @@
 //! User-defined effects: a function of up to three covariates as a lookup table with linear interpolation, and the
 //! direction in which its value changes the field or the forces.
 //!
-//! A covariate may be a force: the estimate of the previous pass, see [`super::Compensation::passes`]. Ends of the tables
-//! bound every value, so the estimates saturate where an effect is too large for the iteration to converge.
+//! A covariate may be a force: the estimate of the tick before. An effect f(F) of the force is then off by its slope times the
+//! change of the force in a tick, and the error of an estimate falls by that factor with each tick; the exporter
+//! refuses slopes above a half. The ends of a table bound its values, so no estimate diverges.
 
 use crate::compensation::auxiliary_inputs::AuxiliaryInputs;
 use crate::fixed_point::{Field, Force, mul_q, saturate};
@@ -39,7 +40,7 @@ pub enum Covariate {
     Acceleration(u8),
     /// Temperature in counts with [`super::thermal::TEMPERATURE_BITS`] fractional bits.
     Temperature,
-    /// Estimated force, 0 lateral and 1 longitudinal, as [`Force`].
+    /// Force of the tick before, 0 lateral and 1 longitudinal, as [`Force`]; zero in the first tick.
     Force(u8),
     /// Output of the filter of this number, in the unit of its covariate.
     Lagged(u8),
@@ -74,13 +75,21 @@ impl CovariateFilter {
 /// Estimated forces and filtered covariates of one sensor.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct EstimateState {
-    /// Forces of the latest pass.
-    pub force: [Force; 2],
+    /// Forces of the tick before, and the number of ticks up to 2.
+    force: [Force; 2],
+    ticks: u8,
     filters: [Option<[i64; 2]>; FILTERS],
 }
 
 impl EstimateState {
-    /// Filters the covariates of a tick. A filter without an input starts again with the next one.
+    /// Sets the forces of a tick.
+    pub fn set_force(&mut self, force: [Force; 2]) {
+        self.force = force;
+        self.ticks = self.ticks.saturating_add(1).min(2);
+    }
+
+    /// Filters the covariates of a tick. A filter without an input starts again with the next one, and all in the second tick,
+    /// which is the first with forces.
     pub fn update(
         &mut self,
         filters: &[Option<CovariateFilter>; FILTERS],
@@ -91,8 +100,10 @@ impl EstimateState {
             let Some(filter) = filter else { continue };
             let values = CovariateValues { temperature, inputs, estimates: self };
             let value = values.value(filter.covariate);
+            let is_started = self.ticks > 1;
             if let Some(outputs) = self.filters.get_mut(number) {
-                *outputs = value.map(|value| filter.step(*outputs, value));
+                let before = outputs.filter(|_| is_started);
+                *outputs = value.map(|value| filter.step(before, value));
             }
         }
     }
@@ -263,6 +274,9 @@ mod tests {
 
     /// A value of one.
     const ONE: i32 = 1 << VALUE_BITS;
+    /// After the second tick, without forces.
+    const STARTED: EstimateState =
+        EstimateState { force: [Force(0); 2], ticks: 2, filters: [None; FILTERS] };
 
     fn side(covariate: Covariate, from: i32, step: i32, knots: u16) -> Option<LookupAxis> {
         Some(LookupAxis { covariate, from, step, knots })
@@ -307,7 +321,7 @@ mod tests {
             side(Covariate::Force(1), -1024, 2048, 2),
         ];
         let table = LookupTable { sides, values: &[0, 100, 200, 300, 1000, 1100, 1200, 1300] };
-        let estimates = EstimateState { force: [Force(0), Force(512)], ..Default::default() };
+        let estimates = EstimateState { force: [Force(0), Force(512)], ..STARTED };
         // 50 + 100 + three quarters of 1000.
         assert_eq!(value(&table, &inputs(5), &estimates), 900);
         let missing = AuxiliaryInputs::default();
@@ -344,7 +358,7 @@ mod tests {
             table: LookupTable { sides, values: &[-ONE, ONE] },
             along: [3072 << ALONG_BITS, -1536 * (1 << ALONG_BITS)],
         };
-        let estimates = EstimateState { force: [Force(51_200), Force(0)], ..Default::default() };
+        let estimates = EstimateState { force: [Force(51_200), Force(0)], ..STARTED };
         let inputs = AuxiliaryInputs::default();
         let values = CovariateValues { temperature: 0, inputs: &inputs, estimates: &estimates };
         let found = map.compensate([Force(50_000), Force(2000)], &values).unwrap();
@@ -357,7 +371,7 @@ mod tests {
         let gain = (f64::from(1 << FILTER_BITS) / 30_000.0) as i32;
         let filters =
             [Some(CovariateFilter { covariate: Covariate::Opening, gain }), None, None, None];
-        let mut state = EstimateState::default();
+        let mut state = STARTED;
         let lagged = |state: &EstimateState| {
             let inputs = AuxiliaryInputs::default();
             CovariateValues { temperature: 0, inputs: &inputs, estimates: state }
@@ -375,12 +389,31 @@ mod tests {
     }
 
     #[test]
+    fn filter_of_a_force_starts_with_the_first_estimate() {
+        let filters = [
+            Some(CovariateFilter { covariate: Covariate::Force(0), gain: 1 << 20 }),
+            None,
+            None,
+            None,
+        ];
+        let (mut state, inputs) = (EstimateState::default(), AuxiliaryInputs::default());
+        let lagged = [5000, 6000, 6000].map(|force| {
+            state.update(&filters, 0, &inputs);
+            let values = CovariateValues { temperature: 0, inputs: &inputs, estimates: &state };
+            let found = values.value(Covariate::Lagged(0));
+            state.set_force([Force(force), Force(0)]);
+            found
+        });
+        assert_eq!(lagged, [Some(0), Some(5000), Some(5000)]);
+    }
+
+    #[test]
     fn rate_of_a_ramp_is_its_slope_times_the_time_constant() {
         // 20 mm/s and 20 ticks: 0.4 mm less the step of a tick.
         let gain = (1 << FILTER_BITS) / 20;
         let filters =
             [Some(CovariateFilter { covariate: Covariate::Opening, gain }), None, None, None];
-        let mut state = EstimateState::default();
+        let mut state = STARTED;
         (0..1000).for_each(|tick| state.update(&filters, 0, &inputs(20 * tick)));
         let values = CovariateValues {
             temperature: 0,
@@ -403,9 +436,9 @@ mod tests {
                 side(Covariate::Lagged(9), 0, 1, 0),
             ];
             let values = &[a, b, a, b];
-            let mut state = EstimateState { force: [Force(a); 2], ..Default::default() };
+            let mut state = EstimateState { force: [Force(a); 2], ..STARTED };
             state.update(&filters, a, &AuxiliaryInputs::default());
-            state.force = [Force(b); 2];
+            state.set_force([Force(b); 2]);
             state.update(&filters, b, &AuxiliaryInputs::default());
             let inputs = AuxiliaryInputs::default();
             let covariates = CovariateValues { temperature: a, inputs: &inputs, estimates: &state };

@@ -2,8 +2,8 @@
 //!
 //! Effects on the field are removed before the ideal model, in reverse order of the signal path: the sensor
 //! ([`thermal`]), other field sources ([`crosstalk`]), the magnet, the gap. Effects of the flexures are removed from the
-//! forces afterwards ([`flexure`], [`hysteresis`]). User-defined effects are [`lookup_table`]s, also over the estimated
-//! forces: these are estimated in passes. Effects that depend only
+//! forces afterwards ([`flexure`], [`hysteresis`]). User-defined effects are [`lookup_table`]s, also over the forces estimated
+//! in the tick before. Effects that depend only
 //! on the present forces (stiffening, tip slope, cross coupling, compression of the sensor) are part of the ideal
 //! model's tables.
 
@@ -31,17 +31,12 @@ use crate::fixed_point::{Field, Force};
 
 /// Maximum number of effects on the field, and on the forces, of a sensor.
 pub const MAX_EFFECTS: usize = 8;
-/// Maximum number of passes of a tick.
-pub const MAX_PASSES: u8 = 3;
 
 /// Compensated effects of one sensor, in the order of their application.
 #[derive(Clone, Copy, Debug)]
 pub struct Compensation<'a> {
     /// Number of the sensor.
     pub number: u8,
-    /// Passes of a tick, at most [`MAX_PASSES`]: more than one where an effect depends on a force. Each starts from the
-    /// forces of the pass before, the first one from those of the tick before.
-    pub passes: u8,
     /// Filters of covariates.
     pub filters: [Option<CovariateFilter>; FILTERS],
     /// Effects on the field.
@@ -93,8 +88,7 @@ pub struct CompensationState {
     lag: ViscousLagState,
     creep: CreepState,
     hysteresis: HysteresisState,
-    /// Estimated forces and filtered covariates.
-    pub estimates: EstimateState,
+    estimates: EstimateState,
 }
 
 /// Result of a compensation.
@@ -183,6 +177,7 @@ impl Compensation<'_> {
                 None => missing_inputs = true,
             }
         }
+        state.estimates.set_force(force);
         Compensated { value: force, missing_inputs }
     }
 }

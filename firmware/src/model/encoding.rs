@@ -426,7 +426,7 @@ fields! { [] Parity { axis: u8, terms: [i32; PARITY_TERMS], sigma: i32 } }
 
 // The compensation.
 fields! { in memory: Compensation {
-    number: u8, passes: u8, filters: [Option<CovariateFilter>; FILTERS],
+    number: u8, filters: [Option<CovariateFilter>; FILTERS],
     field: [Option<FieldEffect<'_>>; MAX_EFFECTS], force: [Option<ForceEffect<'_>>; MAX_EFFECTS]
 } }
 variants! { FieldEffect {

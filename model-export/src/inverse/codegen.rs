@@ -74,9 +74,8 @@ fn compensations(list: &[OwnedCompensation]) -> String {
         let field = view.field.map(|effect| literal(&effect, "FieldEffect"));
         let force = view.force.map(|effect| literal(&effect, "ForceEffect"));
         text += &format!(
-            "    Compensation {{ number: {}, passes: {}, filters: {}, field: [{}], force: [{}] }},\n",
+            "    Compensation {{ number: {}, filters: {}, field: [{}], force: [{}] }},\n",
             view.number,
-            view.passes,
             with_covariates(format!("{:?}", view.filters)),
             field.join(", "),
             force.join(", ")

@@ -445,7 +445,6 @@ fn compensation<'a>(number: u8, knots: &'a [[i32; 3]], values: &'a [i32]) -> Com
     let half = usize::from(number & 1);
     Compensation {
         number,
-        passes: 2,
         filters: [filter(Covariate::Temperature), filter(Covariate::Force(1)), None, None],
         field: std::array::from_fn(|at| fields.get(at + 3 * half).copied()),
         force: std::array::from_fn(|at| forces.get(at + 2 * half).copied()),

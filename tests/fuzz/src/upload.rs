@@ -23,6 +23,8 @@ const STEPS: u32 = 24;
 const NODE: u16 = 5;
 const KEY: [u8; 16] = *b"sixteen byte key";
 const HEADER_BYTES: usize = 16;
+/// Version of the encoding of a calibration.
+const FORMAT: u32 = 2;
 /// Marks at the start of a slot: sequence and constant, twice.
 const MARKS: [[u8; 4]; 2] = [*b"cal1", *b"cal2"];
 /// Version of the encoding.

@@ -34,8 +34,8 @@ const OPENING_RATE_RANGE: f64 = 200.0;
 const MAX_RATE_FILTER_MS: f64 = 50.0;
 /// Maximum change of a gain.
 const MAX_GAIN_CHANGE: f64 = 0.5;
-/// Force in newtons by which an effect over the forces may change per newton: the device subtracts the effect at its own estimate,
-/// and in two passes an error falls to the square of this.
+/// Force in newtons by which an effect over the forces may change per newton: the device subtracts the effect at its
+/// estimate of the tick before, whose error falls by this factor with each tick.
 const MAX_FEEDBACK: f64 = 0.5;
 
 /// Owned lookup table.
@@ -81,8 +81,8 @@ impl OwnedForceMap {
 /// A formula on the device.
 pub(super) struct ConvertedFormula {
     pub(super) map: OwnedMap,
-    /// Force in newtons by which it changes per newton of the estimate; `None` if it depends on no force.
-    pub(super) feedback: Option<f64>,
+    /// Force in newtons by which it changes per newton of the estimate; 0 if it depends on no force.
+    pub(super) feedback: f64,
 }
 
 /// By the quantity that it changes.
@@ -267,17 +267,16 @@ impl Converter<'_> {
                 matrix: self.matrix(matrix * largest, MATRIX_BITS)?,
             }),
         };
-        let is_over_force = inputs.iter().any(|input| input.column.depends_on_force());
-        Ok(ConvertedFormula { map, feedback: is_over_force.then_some(feedback) })
+        Ok(ConvertedFormula { map, feedback })
     }
 
-    /// Checks that the device's passes converge.
+    /// Checks that the device's estimates converge.
     pub(super) fn check_feedback(&self, feedback: f64) -> Result<(), NotCompensable> {
         if feedback < MAX_FEEDBACK {
             return Ok(());
         }
         Err(self.error(format!(
-            "it changes the force by up to {feedback:.2} N per newton of the forces that it depends on; the device subtracts it at its own estimate, which converges below {MAX_FEEDBACK} N: write it with other covariates"
+            "it changes the force by up to {feedback:.2} N per newton of the forces that it depends on; the device subtracts it at its estimate of the tick before, which converges below {MAX_FEEDBACK} N: write it with other covariates"
         )))
     }
 

@@ -28,14 +28,10 @@ pub struct NotCompensable {
     pub why: String,
 }
 
-/// Passes of a tick where an effect depends on a force.
-const FORCE_PASSES: u8 = 2;
-
 /// Owned compensation of one sensor.
 #[derive(Clone, Debug, Default)]
 pub struct OwnedCompensation {
     number: u8,
-    passes: u8,
     filters: Vec<CovariateFilter>,
     field: Vec<OwnedOnField>,
     force: Vec<OwnedOnForce>,
@@ -98,7 +94,7 @@ impl OwnedCompensation {
         gauss_per_lsb: f64,
     ) -> Result<Option<Self>, NotCompensable> {
         let units = f64::from(1_u32 << Field::BITS) / gauss_per_lsb;
-        let mut own = Self { number: number as u8, passes: 1, ..Self::default() };
+        let mut own = Self { number: number as u8, ..Self::default() };
         let mut feedback = 0.0;
         let mut sorted: Vec<&(EffectTerm, Vec<f64>)> = effects.iter().collect();
         // In reverse order of the measuring chain.
@@ -123,11 +119,8 @@ impl OwnedCompensation {
                         OwnedMap::Field(map) => own.field.push(OwnedOnField::Map(map)),
                         OwnedMap::Force(map) => own.force.push(OwnedOnForce::Map(map)),
                     }
-                    if let Some(one) = converted.feedback {
-                        feedback += one;
-                        converter.check_feedback(feedback)?;
-                        own.passes = FORCE_PASSES;
-                    }
+                    feedback += converted.feedback;
+                    converter.check_feedback(feedback)?;
                 }
             }
         }
@@ -175,7 +168,6 @@ impl OwnedCompensation {
         filters.iter_mut().zip(&self.filters).for_each(|(slot, filter)| *slot = Some(*filter));
         let mut view = Compensation {
             number: self.number,
-            passes: self.passes,
             filters,
             field: [None; MAX_EFFECTS],
             force: [None; MAX_EFFECTS],

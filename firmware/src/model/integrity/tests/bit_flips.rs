@@ -74,7 +74,7 @@ flip_fields! {
     [] Linear: bias, slope;
     [] CentrePair: xy, z, weight;
     [] Parity: axis, terms, sigma;
-    ['a] Compensation<'a>: number, passes, filters, field, force;
+    ['a] Compensation<'a>: number, filters, field, force;
     [] SensorTemperatureTable: offset, gain;
     [] MotorLeakageTable: per_ma;
     [] EarthFieldTable: world, element;

@@ -121,7 +121,6 @@ fn compensations<'a>(knots: &'a [[i32; 3]; KNOTS], values: &'a [i32]) -> [Compen
     ];
     array::from_fn(|number| Compensation {
         number: number as u8,
-        passes: 2,
         filters: [
             Some(CovariateFilter { covariate: Covariate::Temperature, gain: 77 }),
             Some(CovariateFilter { covariate: Covariate::Force(0), gain: 99 }),
