@@ -25,7 +25,7 @@ pub static TABLES: Tables<'static> = Tables {
     exp: &EXP,
     sensors: &SENSORS,
     compensations: &COMPENSATIONS,
-    check: 0x4d22edfc,
+    check: 0x14234399,
 };
 
 static EXP: [u32; EXP_ENTRIES] = [

@@ -27,8 +27,6 @@ const HEADER_BYTES: usize = 16;
 const FORMAT: u32 = 2;
 /// Marks at the start of a slot: sequence and constant, twice.
 const MARKS: [[u8; 4]; 2] = [*b"cal1", *b"cal2"];
-/// Version of the encoding.
-const FORMAT: u32 = 2;
 
 /// Results of a sequence.
 #[derive(Clone, Copy, Debug, Default)]
