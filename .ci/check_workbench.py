@@ -120,7 +120,7 @@ def effects(browser, magpie, folder, name):
 
     # The prediction under the pointer or with the keyboard, then the effect itself.
     page.focus("#candidates li[data-effect=magnet_temperature] button")
-    tab.check("Predicted" in page.inner_text("#headline"), "no prediction for the effect in focus")
+    tab.check(page.inner_text("#predicted").endswith(" N"), "no prediction for the effect in focus")
     tab.act(lambda: page.keyboard.press("Enter"))
     tab.act(lambda: page.click("#candidates li[data-effect=hysteresis] button"))
     tab.check(tab.present() == ["magnet_temperature", "hysteresis"], f"in the model: {tab.present()}")

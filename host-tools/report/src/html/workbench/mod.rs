@@ -31,7 +31,7 @@ pub fn page(campaign: &str, live: bool) -> String {
                 header #top {
                     h1 { "Workbench " span #campaign { (campaign) } }
                     div #bar role="img" aria-label="Force error" {}
-                    p.note #legend { span.key.error {} " force error " span.key.predicted {} " predicted with the effect under the pointer " span.key.noise {} " noise alone" }
+                    p.note #legend { span.key.error {} " force error " span.key.predicted {} " predicted with the effect under the pointer " span #predicted {} span.key.noise {} " noise alone" }
                     p #headline role="status" { "Fitting the base model." }
                     pre #error role="alert" {}
                     p.note #verdict {}

@@ -52,7 +52,9 @@
 
   function headline(predicted) {
     if (!shown.force) return (at("headline").textContent = shown.verdict);
-    at("headline").textContent = shown.headline + (predicted ? ` Predicted: ${newtons(predicted)}.` : "");
+    at("headline").textContent = shown.headline;
+    // In a place of its own size: a page that moves under the pointer would show and hide it again and again.
+    at("predicted").textContent = predicted ? newtons(predicted) : "";
     at("verdict").textContent = `${shown.verdict} Held-out rows: ${shown.validation}.`;
   }
 
