@@ -32,8 +32,8 @@ use crate::commands::print_notes;
 
 /// The complete workflow on one campaign: fit, compare, diagnose, add the missing effects.
 ///
-/// Without a campaign it simulates one of a gripper with two effects that are missing from the model: one of the catalogue, and one that no
-/// catalogue contains.
+/// Without a campaign it simulates one of a gripper with two effects that are missing from the model: one of the catalogue,
+/// and one that no catalogue contains.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
