@@ -138,15 +138,15 @@ fn errors(id: &str) -> (f64, f64) {
     let list: Vec<(&EffectTerm, &[f64])> =
         effects.iter().map(|(effect, values)| (effect, values.as_slice())).collect();
     let track = track();
-    let states = StateSeries::of(&track, rest.model.stiffness_n_per_mm, &list).states;
-    let frames = rest.model.frames();
+    let states = StateSeries::of(&track, rest.stiffness_n_per_mm(), &list).states;
+    let frames = nominal().frames();
     let run = |compensations: &[Compensation]| {
         let tables = chosen.tables.tables(compensations);
         let mut compensation_state = CompensationState::default();
         let mut squares = 0.0;
         for (row, state) in states.iter().enumerate() {
             let counts =
-                rest.model.field_at(&frames, state).map(|g| (g / GAUSS_PER_LSB).round() as i16);
+                nominal().field_at(&frames, state).map(|g| (g / GAUSS_PER_LSB).round() as i16);
             let temperature_rise = track.temperature_c[row] - REFERENCE_C;
             let reading = HallReading {
                 field: counts.into(),

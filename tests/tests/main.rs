@@ -7,5 +7,6 @@ mod fitting;
 mod ideal_model;
 mod import;
 mod magnet_fields;
+mod polynomial_inverse;
 mod recording_errors;
 mod third_party_data;

@@ -10,6 +10,7 @@ use crate::fit::problem::SensorProblem;
 use crate::fit::rows::SensorRows;
 use crate::fit::sensor_fit::{self, SensorSolution, add_errors, held_out_errors};
 use crate::fit::{AxisScore, FitError, FitOptions};
+use crate::recordings::columns::Axis;
 use crate::recordings::in_order;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
@@ -24,6 +25,8 @@ const MAX_VARIANCE_INFLATION: f64 = 10.0;
 pub struct SensorFit {
     /// Number of the sensor.
     pub sensor: u32,
+    /// Forces of the fitted rows.
+    pub forces: Vec<(u32, Axis)>,
     /// Base parameters, then those of each effect.
     pub parameters: Vec<FreeParameter>,
     /// Number of base parameters.
@@ -403,6 +406,7 @@ fn sensor_result(
     let size = derivatives.len();
     SensorFit {
         sensor: problem.rows.sensor,
+        forces: problem.rows.forces.clone(),
         base_count: problem.base_count,
         offset_confounded: (0..problem.offset_count)
             .any(|index| variance_inflation(&state.blocks, index) > MAX_VARIANCE_INFLATION),

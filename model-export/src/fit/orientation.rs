@@ -9,6 +9,7 @@ use nalgebra::{Matrix3, SMatrix, Vector3};
 use rayon::prelude::*;
 
 use crate::fit::FitError;
+use crate::fit::rows::SensorRows;
 use crate::physics::ForwardModel;
 use crate::recordings::columns::Axis;
 use crate::recordings::{Campaign, Location, Recording};
@@ -44,12 +45,17 @@ const SAME_UNIT: f64 = 1.4;
 ///
 /// # Errors
 /// The first implausible column.
-pub fn check(campaign: &Campaign, sensor: u32, nominal: &ForwardModel) -> Result<(), FitError> {
+pub fn check(
+    campaign: &Campaign,
+    rows: &SensorRows,
+    nominal: &ForwardModel,
+) -> Result<(), FitError> {
+    let sensor = rows.sensor;
     for recording in &campaign.recordings {
-        let Some(slopes) = Slopes::of(campaign, recording, (sensor, sensor), 0) else {
+        let Some(slopes) = Slopes::of(campaign, recording, (rows, sensor), 0) else {
             continue;
         };
-        let found = Check { campaign, recording, sensor, nominal, slopes };
+        let found = Check { campaign, recording, rows, sensor, nominal, slopes };
         found.rest_field()?;
         found.forces()?;
     }
@@ -72,19 +78,23 @@ impl Slopes {
     fn of(
         campaign: &Campaign,
         recording: &Recording,
-        (sensor, place): (u32, u32),
+        (rows, place): (&SensorRows, u32),
         delay: isize,
     ) -> Option<Self> {
-        let track = recording.sensors.get(&sensor)?;
-        let loads = [Axis::X, Axis::Z].map(|axis| recording.forces.get(&(place, axis)));
-        let [x, z] = loads;
-        let (x, z) = (x?, z?);
+        let track = recording.sensors.get(&rows.sensor)?;
+        let is_used = |force: &(u32, Axis)| place != rows.sensor || rows.forces.contains(force);
+        let loads = [Axis::X, Axis::Z]
+            .map(|axis| recording.forces.get(&(place, axis)).filter(|_| is_used(&(place, axis))));
+        let any = loads.into_iter().flatten().next()?;
+        // A force that was not measured is assumed to be zero.
+        let unloaded = vec![0.0; any.newtons.len()];
+        let [x, z] = loads.map(|load| load.map_or(&unloaded, |load| &load.newtons));
         let mut normal: Matrix3<f64> = Matrix3::zeros();
         let mut right: SMatrix<f64, 3, 3> = SMatrix::zeros();
         let mut squares: Vector3<f64> = Vector3::zeros();
         let (later, earlier) = (delay.max(0) as usize, (-delay).max(0) as usize);
         let fields = track.field_g.iter().skip(later);
-        let forces = x.newtons.iter().zip(&z.newtons).skip(earlier);
+        let forces = x.iter().zip(z).skip(earlier);
         for (field, (&fx, &fz)) in fields.zip(forces) {
             let (regressor, field) = (Vector3::new(1.0, fx, fz), Vector3::from(*field));
             if regressor.iter().chain(field.iter()).all(|value| value.is_finite()) {
@@ -94,7 +104,10 @@ impl Slopes {
             }
         }
         let count = normal[(0, 0)];
-        let largest_n = [Axis::X, Axis::Z].map(|axis| max_sigma_n(campaign, (place, axis)));
+        let largest_n = [0, 1].map(|i| {
+            let axis = [Axis::X, Axis::Z][i];
+            loads[i].map_or(0.0, |_| max_sigma_n(campaign, (place, axis)))
+        });
         let is_small = largest_n.map(|sigma_n| sigma_n <= MIN_FORCE_SIGMA_N);
         let moves = [Axis::X, Axis::Z].map(|axis| {
             let i = if axis == Axis::X { 1 } else { 2 };
@@ -168,6 +181,7 @@ fn unit_by_mistake(share: f64, axis: &str) -> String {
 struct Check<'a> {
     campaign: &'a Campaign,
     recording: &'a Recording,
+    rows: &'a SensorRows,
     sensor: u32,
     nominal: &'a ForwardModel,
     slopes: Slopes,
@@ -244,8 +258,17 @@ impl Check<'_> {
         let silent =
             |force: usize| !is_small[force] && shares[force].is_some() && !follows(own(force));
         if (silent(0) && follows(other(0))) || (silent(1) && follows(other(1))) {
+            let force = if silent(0) { 0 } else { 1 };
+            if self.slopes.is_small[1 - force] {
+                let [own, other] = [["x", "z"][force], ["x", "z"][1 - force]];
+                return self.force(
+                    force,
+                    format!("the field along {other} of sensor {} follows this force, and the field along {own} does not", self.sensor),
+                    &format!("rename the column to f{}_{other}_n if the force acts along {other}; else the field columns x and z are swapped: rename those", self.sensor),
+                );
+            }
             return self.force(
-                if silent(0) { 0 } else { 1 },
+                force,
                 format!("the field along x follows the force along z, and the field along z that along x, at sensor {}", self.sensor),
                 "the two force columns (or the two field columns) are swapped: rename them",
             );
@@ -288,7 +311,7 @@ impl Check<'_> {
     fn followed(&self) -> Option<u32> {
         let places = self.recording.forces.keys().map(|(place, _)| *place);
         places.filter(|place| *place != self.sensor).find(|place| {
-            let slopes = Slopes::of(self.campaign, self.recording, (self.sensor, *place), 0);
+            let slopes = Slopes::of(self.campaign, self.recording, (self.rows, *place), 0);
             slopes.is_some_and(|slopes| {
                 let better = MUCH_BETTER * (1.0 - slopes.explained) < 1.0 - self.slopes.explained;
                 better && slopes.explained > EXPLAINED
@@ -303,7 +326,7 @@ impl Check<'_> {
         let period_s = (time_s.last()? - time_s.first()?) / rows.saturating_sub(1).max(1) as f64;
         let step = ((DELAY_STEP_S / period_s) as usize).max(1);
         let most = ((1.0 - MIN_OVERLAP) * rows as f64) as isize;
-        let places = (self.sensor, self.sensor);
+        let places = (self.rows, self.sensor);
         let explained = |delay: isize| {
             Some((Slopes::of(self.campaign, self.recording, places, delay)?.explained, delay))
         };

@@ -88,14 +88,14 @@ impl Converter<'_> {
             (_, axis) => {
                 let mut along = Vector3::zeros();
                 along[axis] = self.units;
-                let seen = self.model.model.frames().element * along;
+                let seen = self.model.element() * along;
                 Maps::Field([table(seen.x)?, table(seen.y)?, table(seen.z)?])
             }
         })
     }
 
     fn stiffness(&self, axis: usize) -> f64 {
-        self.model.model.stiffness_n_per_mm[axis]
+        self.model.stiffness_n_per_mm()[axis]
     }
 
     /// The board measures the rotor angle modulo one turn: the expression must be periodic.

@@ -104,7 +104,6 @@ impl OwnedCompensation {
                     | DeviceForm::Bench { .. }
                     | DeviceForm::Never(_) => {}
                 },
-                // A polynomial, the only base with channel-wise effects, has no inverse.
                 // In the tables of the inverse model.
                 EffectTerm::Expression(formula) if formula.depends_on_forces_alone() => {}
                 EffectTerm::Expression(formula) => match converter.map(formula, values)? {
@@ -191,7 +190,7 @@ impl Converter<'_> {
     }
 
     fn turn(&self) -> Matrix3<f64> {
-        *self.model.model.frames().element.matrix()
+        *self.model.element().matrix()
     }
 
     fn three(&self, values: Vector3<f64>, bits: u32) -> Result<[i32; 3], NotCompensable> {
