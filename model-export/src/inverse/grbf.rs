@@ -72,12 +72,10 @@ impl Grbf {
     ) -> Vec<Option<Self>> {
         let centres: Vec<Vector3<f64>> = match shape.centres_across {
             0 => Vec::new(),
-            n => design
-                .region
-                .centres(n)
-                .into_iter()
-                .map(|load| round(design.coordinates(&model.field(load))))
-                .collect(),
+            n => {
+                let fields = model.centre_fields(n).into_iter();
+                fields.map(|field| round(design.coordinates(&field))).collect()
+            }
         };
         let unsolved = Self {
             design: *design,

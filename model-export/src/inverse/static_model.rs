@@ -78,15 +78,6 @@ impl ForceRegion {
         let at = move |i: usize| 2.0 * i as f64 / (count - 1) as f64 - 1.0;
         (0..count).map(move |i| self.at([at(i); 2]))
     }
-
-    /// Loads of the centres of radial basis functions: a square lattice, or a line of [`LINE_CENTRES`] times as many as along a side
-    /// of the lattice, since centres that are closer have large weights of opposite signs.
-    pub fn centres(self, across: usize) -> Vec<[f64; 2]> {
-        match self.single() {
-            Some(_) => self.line(LINE_CENTRES * across).collect(),
-            None => self.lattice(across).collect(),
-        }
-    }
 }
 
 /// Polynomial of one or two forces along different axes.
@@ -321,6 +312,28 @@ impl StaticModel {
         normals.into_iter().flatten().map(|normal| normal * (OFF_SURFACE_SHARE * span_g)).collect()
     }
 
+    /// Centres of radial basis functions: fields of a square lattice of loads, or of a line of [`LINE_CENTRES`] times as many loads
+    /// as along a side of the lattice, since centres that are closer have large weights of opposite signs. Those of a polynomial are
+    /// to both sides of the surface in turn: functions that are centred on it have no slope across it.
+    pub fn centre_fields(&self, across: usize) -> Vec<Vector3<f64>> {
+        let region = self.region();
+        let loads: Vec<[f64; 2]> = match region.single() {
+            Some(_) => region.line(LINE_CENTRES * across).collect(),
+            None => region.lattice(across).collect(),
+        };
+        let displaced = |(place, load): (usize, &[f64; 2])| {
+            let normals = if self.has_normal_offsets() { self.off_surface(*load) } else { vec![] };
+            let turn = match normals.len() {
+                2 => place / 2,
+                _ => place + place / across,
+            };
+            let sign = if turn % 2 == 0 { 1.0 } else { -1.0 };
+            let normal = normals.get(place % normals.len().max(1)).copied().unwrap_or_default();
+            self.field(*load) + normal * (sign * CENTRE_OFFSETS)
+        };
+        loads.iter().enumerate().map(displaced).collect()
+    }
+
     /// Whether [`StaticModel::off_surface`] is normal to the surface, so that the load is nearest to its offset samples.
     pub fn has_normal_offsets(&self) -> bool {
         matches!(self.base, StaticBase::Polynomial(_))
@@ -369,7 +382,9 @@ impl StaticModel {
 /// Offset of training samples from the surface of a magnet's fields along the gap axis, in gauss.
 const OFF_SURFACE_G: f64 = 15.0;
 /// The same for a polynomial, relative to the norm of the field's span.
-const OFF_SURFACE_SHARE: f64 = 0.03;
+const OFF_SURFACE_SHARE: f64 = 0.01;
+/// Distance of centres from a polynomial's surface in offsets of training samples.
+const CENTRE_OFFSETS: f64 = 10.0;
 /// Loads of each axis between which fields are compared; of one force their square.
 const AMBIGUITY_LOADS: usize = 15;
 /// Least difference of fields by the difference of the loads in ranges, relative to the largest one.
