@@ -663,9 +663,10 @@ impl FoldRows {
             let fixed = linearisation.fixed().select_rows(&entries);
             let residual = linearisation.residual().select_rows(&entries);
             let fixed_n = as_forces(&fixed, &to_force);
-            let residual_n = as_forces(&DMatrix::from_columns(&[residual.clone()]), &to_force)
-                .column(0)
-                .into_owned();
+            let residual_n =
+                as_forces(&DMatrix::from_columns(std::slice::from_ref(&residual)), &to_force)
+                    .column(0)
+                    .into_owned();
             let normals = FoldNormals {
                 field: NormalEquations::of(&fixed, &residual, 0..entries.len()),
                 force: NormalEquations::of(&fixed_n, &residual_n, 0..residual_n.len()),

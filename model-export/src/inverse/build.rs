@@ -38,7 +38,7 @@ pub enum BuildError {
     )]
     NoNominalDesign { place: Location },
     #[error("{place}: {why}")]
-    NotInvertible { place: Location, why: NotInvertible },
+    NotInvertible { place: Location, why: Box<NotInvertible> },
     #[error(transparent)]
     NotCompensable(#[from] NotCompensable),
     #[error("{place}: the tables cannot be built: {overflow}")]
@@ -219,7 +219,7 @@ fn static_base(
         let sensor = model.sensors.iter().find(|sensor| sensor.number == number);
         let forces = sensor.map_or(0, |sensor| sensor.forces().len());
         let polynomial = model.force_polynomial(number);
-        let why = NotInvertible::ForceCount { sensor: number, forces };
+        let why = Box::new(NotInvertible::ForceCount { sensor: number, forces });
         let refused = || BuildError::NotInvertible { place: place(), why };
         return polynomial.map(StaticBase::from).ok_or_else(refused);
     };
@@ -242,7 +242,7 @@ fn check_inverse(model: &StaticModel, sensor: u32, place: &Path) -> Result<(), B
         format!("{} {:.3} to {:.3} N", name(axis), centre - half, centre + half)
     });
     let loads = loads.map(|load| joined(&|axis| format!("{} {:.3} N", name(axis), load[axis])));
-    let why = NotInvertible::Ambiguous { sensor, range, loads };
+    let why = Box::new(NotInvertible::Ambiguous { sensor, range, loads });
     Err(BuildError::NotInvertible { place: Location::file(place), why })
 }
 

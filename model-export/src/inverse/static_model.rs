@@ -124,7 +124,7 @@ pub enum StaticBase {
     /// Magnet, flexures, sensor.
     Cylinder(ForwardModel, ModelFrames),
     /// Polynomial of the forces.
-    Polynomial(Box<ForcePolynomial>),
+    Polynomial(ForcePolynomial),
 }
 
 impl From<ForwardModel> for StaticBase {
@@ -135,7 +135,7 @@ impl From<ForwardModel> for StaticBase {
 
 impl From<ForcePolynomial> for StaticBase {
     fn from(polynomial: ForcePolynomial) -> Self {
-        Self::Polynomial(Box::new(polynomial))
+        Self::Polynomial(polynomial)
     }
 }
 
@@ -361,9 +361,9 @@ impl StaticModel {
             return None;
         }
         let region = self.region();
-        let loads: Vec<([f64; 2], Vector3<f64>)> =
+        let loads: Vec<LoadedField> =
             region.lattice(AMBIGUITY_LOADS).map(|load| (load, self.field(load))).collect();
-        let slope = |(one, other): (&([f64; 2], Vector3<f64>), &([f64; 2], Vector3<f64>))| {
+        let slope = |(one, other): (&LoadedField, &LoadedField)| {
             let apart = region
                 .inputs()
                 .map(|axis| ((one.0[axis] - other.0[axis]) / region.half_n[axis]).powi(2));
@@ -378,6 +378,9 @@ impl StaticModel {
         (slope((one, other)) <= MIN_SLOPE * steepest).then_some([one.0, other.0])
     }
 }
+
+/// A load in newtons and its field in gauss.
+type LoadedField = ([f64; 2], Vector3<f64>);
 
 /// Offset of training samples from the surface of a magnet's fields along the gap axis, in gauss.
 const OFF_SURFACE_G: f64 = 15.0;

@@ -275,7 +275,7 @@ fn build_tables(plan: &CvPlan, path: &Path) -> Result<FoldTables> {
         }
         Err(error) => match error.downcast_ref::<BuildError>() {
             Some(BuildError::NotInvertible { why, .. }) => {
-                Ok(Err(MissingForces::NotInvertible(why.clone())))
+                Ok(Err(MissingForces::NotInvertible((**why).clone())))
             }
             Some(BuildError::NotCompensable(why)) => {
                 Ok(Err(MissingForces::NotCompensable(why.clone())))

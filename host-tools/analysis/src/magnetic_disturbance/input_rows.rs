@@ -69,7 +69,7 @@ pub trait InputRows {
 /// Source of input rows.
 pub enum RowSource {
     /// One recording: the same rows in every run, with other magnets.
-    Recorded(RecordedGripper),
+    Recorded(Box<RecordedGripper>),
     /// New recordings of a simulated gripper, another one in every run.
     Simulated(Box<SimulatedGripper>),
 }
