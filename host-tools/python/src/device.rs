@@ -18,7 +18,7 @@ use model_export::inverse::build::{DeviceModel, ModelVariant, build};
 use model_export::inverse::compensation::OwnedCompensation;
 use model_export::recordings::align::Alignment;
 use model_export::recordings::columns::{
-    Axis, ChannelLayout, FieldUnit, ForceColumn, HallColumn, hall_column,
+    ChannelLayout, FieldUnit, ForceColumn, HallColumn, hall_column,
 };
 use model_export::recordings::stream::{RawRow, RawStream};
 use numpy::{PyArray1, PyReadonlyArray1, ToPyArray};
