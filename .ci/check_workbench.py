@@ -84,8 +84,8 @@ class Page:
 
     def excess(self):
         """Last excess over noise in the headline, in newtons."""
-        words = self.page.inner_text("#headline").split("excess over noise")[1]
-        return float(words.split("\u2192")[-1].split("N")[0])
+        words = self.page.inner_text("#headline").split("excess over noise")[1].split(" N.")[0]
+        return float(words.split("\u2192")[-1])
 
     def fits(self):
         wide = self.page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")

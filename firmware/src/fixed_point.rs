@@ -1,6 +1,8 @@
 //! Fixed-point quantities and saturating integer arithmetic of the estimator. Conversions to floating point are for the host;
 //! motor and grip control compute in `f32`.
 
+use core::ops::Neg;
+
 /// Conversion to 32 bits with saturation. Not inlined: used in fifty places, a call is shorter.
 #[inline(never)]
 pub const fn saturate(value: i64) -> i32 {
@@ -44,6 +46,15 @@ impl Field {
     /// In counts.
     pub fn counts(self) -> f64 {
         f64::from(self.0) / f64::from(1_u32 << Self::BITS)
+    }
+}
+
+impl Neg for Field {
+    type Output = Self;
+
+    /// Saturating.
+    fn neg(self) -> Self {
+        Self(self.0.saturating_neg())
     }
 }
 

@@ -2,6 +2,7 @@
 //! and the device code.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use firmware::compensation::auxiliary_inputs::{Attitude, AuxiliaryInputs, MotorInputs};
 use firmware::compensation::{Compensation, CompensationState};
@@ -9,10 +10,10 @@ use firmware::config::constants;
 use firmware::estimator::estimate;
 use firmware::sensors::hall::HallReading;
 use model_export::effects::{
-    CATALOGUE, DeviceForm, EffectTerm, ExcitationSeries, FinalState, ForceForm, ParameterKind,
-    REFERENCE_C, StateSeries, find,
+    CATALOGUE, DeviceForm, EffectTerm, ExcitationSeries, Expression, FinalState, ForceForm,
+    ParameterKind, REFERENCE_C, StateSeries, find,
 };
-use model_export::inverse::compensation::OwnedCompensation;
+use model_export::inverse::compensation::{DeviceSupport, OwnedCompensation};
 use model_export::inverse::model_selection::{SelectedModels, select_models};
 use model_export::inverse::static_model::StaticModel;
 use nalgebra::Rotation3;
@@ -60,18 +61,16 @@ fn track() -> ExcitationSeries {
         ("motor_angle_rad", angle),
     ];
     ExcitationSeries {
-        smooth_n: force_n.clone(),
-        rate_n_per_s: vec![[0.0; 2]; ROWS],
         cycles: vec![[0.0; 2]; ROWS],
         temperature_c: time_s.iter().map(|t| 20.0 + 2.5 * t).collect(),
         covariates: covariates
             .into_iter()
             .map(|(name, values)| (name.to_owned(), values))
             .collect::<BTreeMap<_, _>>(),
-        force_n,
         time_s,
         ..ExcitationSeries::default()
     }
+    .with_forces(force_n)
 }
 
 fn inputs(track: &ExcitationSeries, row: usize) -> AuxiliaryInputs {
@@ -124,23 +123,29 @@ fn effect_with_values(id: &str) -> (EffectTerm, Vec<f64>) {
     (effect, values)
 }
 
+/// A formula with one coefficient.
+fn formula(text: &str, coefficient: f64) -> (EffectTerm, Vec<f64>) {
+    let columns: Vec<String> = track().covariates.into_keys().collect();
+    let parsed = Expression::parse(text, &[], &columns).unwrap();
+    (EffectTerm::Expression(Arc::new(parsed)), vec![coefficient])
+}
+
 fn chosen(rest: &StaticModel) -> SelectedModels {
     select_models(std::slice::from_ref(rest), &[0], 7, GAUSS_PER_LSB, 2000.0, None).unwrap()
 }
 
-/// RMS error of both forces in newtons, with and without compensation.
-fn errors(id: &str) -> (f64, f64) {
-    let effects = [effect_with_values(id)];
-    let rest = StaticModel::new(nominal(), &effects, 1, FinalState::ENDED);
-    let compensation =
-        OwnedCompensation::build(0, &rest, &effects, GAUSS_PER_LSB).unwrap().unwrap();
-    let chosen = chosen(&rest);
+/// RMS error of both forces in newtons, with and without the effect in the device's model.
+fn errors(effect: (EffectTerm, Vec<f64>)) -> (f64, f64) {
+    let effects = [effect];
+    let with = StaticModel::new(nominal(), &effects, 1, FinalState::ENDED);
+    let compensation = OwnedCompensation::build(0, &with, &effects, GAUSS_PER_LSB).unwrap();
     let list: Vec<(&EffectTerm, &[f64])> =
         effects.iter().map(|(effect, values)| (effect, values.as_slice())).collect();
     let track = track();
-    let states = StateSeries::of(&track, rest.stiffness_n_per_mm(), &list).states;
+    let states = StateSeries::of(&track, with.stiffness_n_per_mm(), &list).states;
     let frames = nominal().frames();
-    let run = |compensations: &[Compensation]| {
+    let run = |rest: &StaticModel, compensations: &[Compensation]| {
+        let chosen = chosen(rest);
         let tables = chosen.tables.tables(compensations);
         let mut compensation_state = CompensationState::default();
         let mut squares = 0.0;
@@ -161,7 +166,8 @@ fn errors(id: &str) -> (f64, f64) {
         }
         (squares / (2 * states.len()) as f64).sqrt()
     };
-    (run(&[compensation.view()]), run(&[]))
+    let views: Vec<Compensation> = compensation.iter().map(OwnedCompensation::view).collect();
+    (run(&with, &views), run(&StaticModel::without_effects(nominal()), &[]))
 }
 
 #[test]
@@ -180,7 +186,7 @@ fn the_device_compensates_each_simulated_effect() {
             | DeviceForm::Never(_) => continue,
         };
         let id = effect.id;
-        let (with, without) = errors(id);
+        let (with, without) = errors(effect_with_values(id));
         assert!(with < limit_n && without > 1.9 * with, "{id}: {with} N with, {without} N without");
     }
 }
@@ -203,4 +209,71 @@ fn an_effect_without_its_input_is_skipped_and_flagged() {
     assert_eq!(incomplete.parity.sigma, 0, "the residual contains the neighbour's field");
     let complete = estimate(&tables, 0, reading, &inputs(&track(), 0), &mut state);
     assert!(!complete.missing_inputs && complete.parity.sigma == 5);
+}
+
+#[test]
+fn the_device_compensates_formulas_of_forces_rates_and_lags() {
+    for (text, coefficient, limit_n) in [
+        // By the tables of the ideal model.
+        ("own: gain_percent = a*fz_n", 0.02, 0.25),
+        ("own: dx_um = a*fx_n*fz_n", 1.5e-3, 0.25),
+        ("own: dy_um = a*abs(fx_n)", 0.2, 0.4),
+        ("own: rotation_y_mrad = a*fz_n", 0.2, 0.25),
+        // By the compensation.
+        ("own: dx_um = a*fx_rate_n_per_s", 0.01, 0.6),
+        ("own: bx_g = a*opening_rate_mm_per_s", 0.2, 0.25),
+        ("own: gain_x_percent = a*opening_mm*fx_n", 3e-4, 0.25),
+        ("own: gain_percent = a*opening_mm*fz_n", 5e-4, 0.25),
+        ("own: rotation_y_mrad = a*opening_mm", 0.5, 0.25),
+        ("own: rotation_z_mrad = a*opening_mm*fx_n", 1e-3, 0.25),
+        ("own: tilt_x_mrad = a*opening_mm*fz_n", 1e-3, 0.5),
+        ("own: dy_um = a*opening_mm*fx_n", 0.01, 0.5),
+        ("own: fx_n = a*lag(temp_c, 2)", 0.3, 0.25),
+        ("own: fz_n = a*lag(fx_n, 0.5)", 0.05, 0.25),
+        ("own: fz_n = a*opening_mm*motor_iq_a*fz_n", 5e-5, 0.25),
+    ] {
+        let (with, without) = errors(formula(text, coefficient));
+        assert!(
+            with < limit_n && with < 0.5 * without,
+            "{text}: {with} N with, {without} N without"
+        );
+    }
+}
+
+#[test]
+fn formula_that_the_device_cannot_subtract_is_refused_with_a_reason() {
+    let refused = |text: &str, coefficient: f64| {
+        let effects = [formula(text, coefficient)];
+        let rest = StaticModel::new(nominal(), &effects, 1, FinalState::ENDED);
+        OwnedCompensation::build(0, &rest, &effects, GAUSS_PER_LSB).unwrap_err().to_string()
+    };
+    for (text, coefficient, reason) in [
+        // 0.64 N per newton at 64 mm.
+        ("own: fx_n = a*opening_mm*fx_n", 0.01, "up to 0.64 N per newton of the forces"),
+        ("own: fx_n = a*fx_rate_n_per_s", 0.06, "converges below 0.5 N"),
+        ("own: gain_percent = a*opening_mm*fz_n", 0.01, "the device allows 50 %"),
+        ("own: bx_g = a*sin(20*opening_mm)*fx_n", 0.01, "it varies too fast"),
+        ("own: bx_g = a*motor_angle_rad", 1.0, "modulo one turn"),
+        ("own: bx_g = a*lag(motor_angle_rad, 1)", 1.0, "it has no lag"),
+        ("own: bx_g = a*time_s", 1.0, "the board does not know time_s"),
+        ("own: bx_g = a*roll_rad", 1.0, "use accel_x_mps2"),
+        ("own: bx_g = a*fx_n*fz_n*opening_mm*temp_c", 1e-9, "depends on 4 quantities"),
+    ] {
+        let found = refused(text, coefficient);
+        assert!(found.contains(reason), "{text}: {found}");
+    }
+}
+
+#[test]
+fn support_by_the_device_is_known_before_a_fit() {
+    let support = |(effect, _): (EffectTerm, Vec<f64>)| DeviceSupport::of(&effect).to_string();
+    assert_eq!(support(formula("own: bx_g = a*opening_mm*fz_n", 1.0)), "yes, after homing");
+    assert_eq!(
+        support(formula("own: bx_g = a*fz_n", 1.0)),
+        "yes, by the tables of the ideal model"
+    );
+    let time = support(formula("own: bx_g = a*time_s", 1.0));
+    assert!(time.starts_with("no, because the board does not know time_s"), "{time}");
+    assert_eq!(support(effect_with_values("thermal_gap")), "yes");
+    assert!(support(effect_with_values("external_magnet")).starts_with("no, because"));
 }

@@ -2,7 +2,8 @@
 //!
 //! Effects on the field are removed before the ideal model, in reverse order of the signal path: the sensor
 //! ([`thermal`]), other field sources ([`crosstalk`]), the magnet, the gap. Effects of the flexures are removed from the
-//! forces afterwards ([`flexure`], [`hysteresis`]). User-defined effects are [`lookup_table`]s. Effects that depend only
+//! forces afterwards ([`flexure`], [`hysteresis`]). User-defined effects are [`lookup_table`]s, also over the forces estimated
+//! in the tick before. Effects that depend only
 //! on the present forces (stiffening, tip slope, cross coupling, compression of the sensor) are part of the ideal
 //! model's tables.
 
@@ -20,7 +21,9 @@ use crate::compensation::flexure::{
     CreepState, CreepTable, FingertipMassTable, HardStopTable, ViscousLagState, ViscousLagTable,
 };
 use crate::compensation::hysteresis::{HysteresisState, HysteresisTable, Slider};
-use crate::compensation::lookup_table::LookupTable;
+use crate::compensation::lookup_table::{
+    CovariateFilter, CovariateValues, EstimateState, FILTERS, FieldMap, ForceMap,
+};
 use crate::compensation::thermal::{
     MagnetTemperatureTable, SensorTemperatureTable, TemperatureFilter, ThermalGapTable,
 };
@@ -34,6 +37,8 @@ pub const MAX_EFFECTS: usize = 8;
 pub struct Compensation<'a> {
     /// Number of the sensor.
     pub number: u8,
+    /// Filters of covariates.
+    pub filters: [Option<CovariateFilter>; FILTERS],
     /// Effects on the field.
     pub field: [Option<FieldEffect<'a>>; MAX_EFFECTS],
     /// Effects on the forces.
@@ -51,8 +56,8 @@ pub enum FieldEffect<'a> {
     EarthField(EarthFieldTable),
     /// Field of the opposing finger's magnet.
     NeighbourMagnet(NeighbourMagnetTable<'a>),
-    /// User-defined field, per axis.
-    Map([LookupTable<'a>; 3]),
+    /// User-defined.
+    Map(FieldMap<'a>),
     /// Temperature coefficient of the remanence.
     MagnetTemperature(MagnetTemperatureTable),
     /// Thermal growth of the gap.
@@ -72,8 +77,8 @@ pub enum ForceEffect<'a> {
     Hysteresis(HysteresisTable),
     /// Weight and inertia of the fingertip.
     FingertipMass(FingertipMassTable),
-    /// User-defined force, or displacement as a force, along x and z.
-    Map([LookupTable<'a>; 2]),
+    /// User-defined force, or displacement as a force.
+    Map(ForceMap<'a>),
 }
 
 /// State of the dynamic effects of one sensor.
@@ -83,6 +88,7 @@ pub struct CompensationState {
     lag: ViscousLagState,
     creep: CreepState,
     hysteresis: HysteresisState,
+    estimates: EstimateState,
 }
 
 /// Result of a compensation.
@@ -124,6 +130,8 @@ impl Compensation<'_> {
         state: &mut CompensationState,
     ) -> Compensated<[Field; 3]> {
         let temperature = state.temperature.update(temperature);
+        state.estimates.update(&self.filters, temperature, inputs);
+        let covariates = CovariateValues { temperature, inputs, estimates: &state.estimates };
         let mut missing_inputs = false;
         for effect in self.field.iter().flatten() {
             let compensated = match effect {
@@ -131,9 +139,7 @@ impl Compensation<'_> {
                 FieldEffect::MotorLeakage(table) => table.compensate(field, inputs),
                 FieldEffect::EarthField(table) => table.compensate(field, inputs),
                 FieldEffect::NeighbourMagnet(table) => table.compensate(field, inputs),
-                FieldEffect::Map(tables) => subtract_map(tables, field, |field, table| {
-                    Some(field.saturating_sub(table.value(temperature, inputs)?))
-                }),
+                FieldEffect::Map(map) => map.compensate(field, &covariates),
                 FieldEffect::MagnetTemperature(table) => Some(table.compensate(field, temperature)),
                 FieldEffect::ThermalGap(table) => Some(table.compensate(field, temperature)),
             };
@@ -153,6 +159,7 @@ impl Compensation<'_> {
         state: &mut CompensationState,
     ) -> Compensated<[Force; 2]> {
         let temperature = state.temperature.value();
+        let covariates = CovariateValues { temperature, inputs, estimates: &state.estimates };
         let mut missing_inputs = false;
         for effect in self.force.iter().flatten() {
             let compensated = match effect {
@@ -163,28 +170,14 @@ impl Compensation<'_> {
                     Some(table.compensate(force, &mut state.hysteresis))
                 }
                 ForceEffect::FingertipMass(table) => table.compensate(force, inputs),
-                ForceEffect::Map(tables) => subtract_map(tables, force, |force, table| {
-                    let value = table.value(temperature, inputs)?;
-                    Some(Force(force.0.saturating_sub(value)))
-                }),
+                ForceEffect::Map(map) => map.compensate(force, &covariates),
             };
             match compensated {
                 Some(compensated) => force = compensated,
                 None => missing_inputs = true,
             }
         }
+        state.estimates.set_force(force);
         Compensated { value: force, missing_inputs }
     }
-}
-
-/// Applies a table per component; `None` if an input of any is missing.
-fn subtract_map<T: Copy, const N: usize>(
-    tables: &[LookupTable; N],
-    mut components: [T; N],
-    subtract: impl Fn(T, &LookupTable) -> Option<T>,
-) -> Option<[T; N]> {
-    for (component, table) in components.iter_mut().zip(tables) {
-        *component = subtract(*component, table)?;
-    }
-    Some(components)
 }

@@ -34,7 +34,7 @@ pub fn estimate(
     let (Some(table), Some(reading)) = (tables.sensor(number), reading) else {
         return Estimate::MISSING;
     };
-    let measured = reading.field.map(Field::from_counts);
+    let measured = table.axes.apply(reading.field.map(Field::from_counts));
     let saturated = reading
         .field
         .iter()
@@ -241,8 +241,18 @@ impl<'t, N: NetworkBank> Estimator<'t, N> {
 
 #[cfg(test)]
 mod tests {
+    use std::vec::Vec;
+
     use super::*;
+    use crate::compensation::lookup_table::{
+        ALONG_BITS, Covariate, FILTERS, ForceMap, LookupAxis, LookupTable, VALUE_BITS,
+    };
+    use crate::compensation::{ForceEffect, MAX_EFFECTS};
     use crate::estimator::gru::GruBank;
+    use crate::model::axis_map::AxisMap;
+    use crate::model::formats::{
+        AxisScale, GAIN_BITS, Linear, Parity, SLOPE_BITS, SensorTable, padded,
+    };
     use crate::model::tables::{NETWORKS, TABLES};
 
     fn frame(tick: u32) -> HallFrame {
@@ -252,6 +262,74 @@ mod tests {
             (tick != 100 + sensor).then_some(HallReading { field, temperature: 8 })
         });
         HallFrame { time_us: 1000 * tick, readings }
+    }
+
+    /// Forces along x of a sensor whose elastic force is 10 N in every tick, in force units.
+    fn forces(compensation: Compensation, ticks: usize) -> Vec<i32> {
+        let axis = AxisScale { offset: 0, gain: 1 << GAIN_BITS };
+        let slope = 1 << SLOPE_BITS;
+        let sensor = SensorTable {
+            number: 0,
+            axes: AxisMap::NOMINAL,
+            scale: [axis; 3],
+            limit_counts: 16_000,
+            linear: Linear { bias: [0; 2], slope: [[slope, 0, 0], [0, 0, slope]] },
+            pairs: padded([]),
+            used_pairs: 0,
+            shift: [0; 2],
+            parity: Parity::NONE,
+        };
+        let tables = Tables { sensors: &[sensor], compensations: &[compensation], ..TABLES };
+        let reading = Some(HallReading { field: [640, 0, 0], temperature: 0 });
+        let mut state = CompensationState::default();
+        let inputs = AuxiliaryInputs::default();
+        let ticks = 0..ticks;
+        ticks.map(|_| estimate(&tables, 0, reading, &inputs, &mut state).force[0].0).collect()
+    }
+
+    #[test]
+    fn effect_of_a_fifth_of_the_force_is_removed_within_six_ticks() {
+        // 0.2 F from -100 to 100 N: the force is 10 N / 1.2.
+        let side =
+            LookupAxis { covariate: Covariate::Force(0), from: -102_400, step: 204_800, knots: 2 };
+        let table = LookupTable {
+            sides: [Some(side), None, None],
+            values: &[-1 << VALUE_BITS, 1 << VALUE_BITS],
+        };
+        let mut force = [None; MAX_EFFECTS];
+        force[0] = Some(ForceEffect::Map(ForceMap { table, along: [20_480 << ALONG_BITS, 0] }));
+        let field = [None; MAX_EFFECTS];
+        let found = forces(Compensation { number: 0, filters: [None; FILTERS], field, force }, 6);
+        // Without the effect first; then the error is a fifth of that before, of the other sign.
+        for (found, expected) in found.iter().zip([10_240, 8192, 8602, 8520, 8536, 8533]) {
+            assert!((found - expected).abs() <= 4, "{found} {expected}");
+        }
+    }
+
+    #[test]
+    fn estimates_of_turned_sensors_are_those_of_the_nominal_ones() {
+        let inputs = AuxiliaryInputs { opening_um: Some(40_000), ..AuxiliaryInputs::default() };
+        for axes in (0..0o1000).map(AxisMap).filter(|map| map.is_rotation()) {
+            let turn = |reading: HallReading| {
+                let mut field = [0; 3];
+                for ((axis, is_negated), counts) in axes.axes().into_iter().zip(reading.field) {
+                    field[usize::from(axis)] = if is_negated { -counts } else { counts };
+                }
+                HallReading { field, ..reading }
+            };
+            let turned = |table: &SensorTable| SensorTable { axes, ..*table };
+            let sensors: Vec<SensorTable> = TABLES.sensors.iter().map(turned).collect();
+            let tables = Tables { sensors: &sensors, ..TABLES };
+            let [mut nominal, mut other] = [&TABLES, &tables]
+                .map(|tables| Estimator::new(tables, GruBank::<_, _, _, SENSORS>::new(&NETWORKS)));
+            for tick in 1..200 {
+                let frame = frame(tick);
+                let readings = frame.readings.map(|reading| reading.map(turn));
+                let turned = HallFrame { readings, ..frame };
+                let expected = nominal.update(&frame, &inputs);
+                assert_eq!(other.update(&turned, &inputs), expected, "{axes:?} {tick}");
+            }
+        }
     }
 
     #[test]

@@ -26,7 +26,7 @@ use crate::sensors::hall::SENSORS;
 /// First bytes of an encoded calibration.
 pub const MAGIC: [u8; 4] = *b"MGPC";
 /// Version of the encoding; a device refuses others.
-pub const FORMAT: u32 = 1;
+pub const FORMAT: u32 = 2;
 /// Bytes before the payload.
 pub const HEADER_BYTES: usize = 16;
 /// Maximum length of a description in bytes.

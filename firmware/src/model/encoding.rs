@@ -10,12 +10,15 @@ use crate::compensation::flexure::{
     CREEP_PARTS, CreepTable, FingertipMassTable, HardStopTable, ViscousLagTable,
 };
 use crate::compensation::hysteresis::{HysteresisTable, SLIDERS, Slider};
-use crate::compensation::lookup_table::{Covariate, LookupAxis, LookupTable};
+use crate::compensation::lookup_table::{
+    Covariate, CovariateFilter, FILTERS, FieldMap, ForceMap, LookupAxis, LookupTable, SIDES,
+};
 use crate::compensation::thermal::{
     MagnetTemperatureTable, SensorTemperatureTable, ThermalGapTable,
 };
 use crate::compensation::{Compensation, FieldEffect, ForceEffect, MAX_EFFECTS};
 use crate::fixed_point::{Field, Force};
+use crate::model::axis_map::AxisMap;
 use crate::model::formats::{
     AxisScale, CentrePair, EXP_ENTRIES, GATES, Guard, Head, Input, InputSource, Linear, MOST_PAIRS,
     Network, OUTPUTS, PARITY_TERMS, Pair, Parity, Products, SensorTable, Tables, Target, UnitPair,
@@ -203,6 +206,24 @@ macro_rules! newtypes {
     )*};
 }
 newtypes!(Field, Force);
+
+impl Encode for AxisMap {
+    const WORDS: usize = 1;
+
+    fn visit(&self, window: &mut Window) {
+        self.0.visit(window);
+    }
+}
+
+impl Decode<'_> for AxisMap {
+    // No rotation, but zero: memory for tables that are not used takes no flash.
+    const ZERO: Self = Self(0);
+
+    fn read(&mut self, reader: &mut Reader) -> Option<()> {
+        self.0.read(reader)?;
+        self.is_rotation().then_some(())
+    }
+}
 
 impl<T: Encode> Encode for &T {
     const WORDS: usize = T::WORDS;
@@ -395,7 +416,7 @@ fields! { only encoded: ['a] Tables<'a> {
     without check
 } }
 fields! { [] SensorTable {
-    number: u8, scale: [AxisScale; 3], limit_counts: i16, linear: Linear, pairs: [CentrePair; MOST_PAIRS],
+    number: u8, axes: AxisMap, scale: [AxisScale; 3], limit_counts: i16, linear: Linear, pairs: [CentrePair; MOST_PAIRS],
     used_pairs: u8, shift: [u8; 2], parity: Parity
 } }
 fields! { [] AxisScale { offset: i32, gain: i32 } }
@@ -405,7 +426,8 @@ fields! { [] Parity { axis: u8, terms: [i32; PARITY_TERMS], sigma: i32 } }
 
 // The compensation.
 fields! { in memory: Compensation {
-    number: u8, field: [Option<FieldEffect<'_>>; MAX_EFFECTS], force: [Option<ForceEffect<'_>>; MAX_EFFECTS]
+    number: u8, filters: [Option<CovariateFilter>; FILTERS],
+    field: [Option<FieldEffect<'_>>; MAX_EFFECTS], force: [Option<ForceEffect<'_>>; MAX_EFFECTS]
 } }
 variants! { FieldEffect {
     1 SensorTemperature, 2 MotorLeakage, 3 EarthField, 4 NeighbourMagnet, 5 Map, 6 MagnetTemperature,
@@ -426,13 +448,20 @@ fields! { [] HardStopTable { knee: [i32; 2], beyond: [[i32; 2]; 2] } }
 fields! { [] HysteresisTable { sliders: [[Slider; SLIDERS]; 2] } }
 fields! { [] Slider { reach: i32, share: i32 } }
 fields! { [] FingertipMassTable { mass: i32 } }
-fields! { in memory: LookupTable { sides: [Option<LookupAxis>; 2], values: &[i32] } }
+fields! { in memory: FieldMap { table: LookupTable<'_>, along: [i32; 3], matrix: [[i32; 3]; 3] } }
+fields! { in memory: ForceMap { table: LookupTable<'_>, along: [i32; 2] } }
+fields! { in memory: LookupTable { sides: [Option<LookupAxis>; SIDES], values: &[i32] } }
+fields! { [] CovariateFilter { covariate: Covariate, gain: i32 } }
 fields! { [] LookupAxis { covariate: Covariate, from: i32, step: i32, knots: u16 } }
 plain_variants! { Covariate as 2, zero Opening {
     Self::Opening => [1, 0], Self::MotorIq => [2, 0], Self::MotorAngle => [3, 0],
-    Self::Acceleration(axis) => [4, axis.into()], Self::Temperature => [5, 0];
+    Self::Acceleration(axis) => [4, axis.into()], Self::Temperature => [5, 0],
+    Self::Force(axis) => [6, axis.into()], Self::Lagged(filter) => [7, filter.into()],
+    Self::Rate(filter) => [8, filter.into()];
     [1, _] => Self::Opening, [2, _] => Self::MotorIq, [3, _] => Self::MotorAngle,
-    [4, axis] => Self::Acceleration(axis), [5, _] => Self::Temperature
+    [4, axis] => Self::Acceleration(axis), [5, _] => Self::Temperature,
+    [6, axis] => Self::Force(axis), [7, filter] => Self::Lagged(filter),
+    [8, filter] => Self::Rate(filter)
 } }
 
 // Recurrent networks.

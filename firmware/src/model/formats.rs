@@ -22,6 +22,7 @@
 
 use crate::compensation::Compensation;
 use crate::fixed_point::{Field, Force};
+use crate::model::axis_map::AxisMap;
 
 /// Maximum magnitude of a scaled coordinate: floor(sqrt(2^27)). The square of a difference is at most 2^29, and
 /// the sum of three stays below 2^31.
@@ -67,6 +68,8 @@ impl<'a> Tables<'a> {
 pub struct SensorTable {
     /// Number of the sensor: its index in the frame.
     pub number: u8,
+    /// Orientation of the sensor; all that follows is in the gripper's axes.
+    pub axes: AxisMap,
     /// Scale of each axis from field to coordinate.
     pub scale: [AxisScale; 3],
     /// Saturation of the sensor in counts, for both signs.

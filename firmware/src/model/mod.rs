@@ -1,10 +1,12 @@
 //! The model on the device: formats, tables, integer kernels. No floating point, no allocation.
 //!
+//! - [`axis_map`]: orientation of a sensor.
 //! - [`formats`]: structs shared with the exporter.
 //! - [`kernel`]: sums of the ideal model and of the recurrent network, bit-exact on every platform.
 //! - [`integrity`]: checksums of tables and weights.
 //! - `tables`: only in images and tests: the tables of this build, written by `magpie export`.
 
+pub mod axis_map;
 pub mod calibration;
 pub mod encoding;
 pub mod formats;

@@ -13,6 +13,7 @@ use model_export::fit::campaign::FitSetup;
 use model_export::fit::effect_size::{EffectSize, effect_sizes};
 use model_export::fit::joint::JointFit;
 use model_export::input::MAX_EFFECTS;
+use model_export::inverse::compensation::{DeviceSupport, device_support};
 use model_export::model_file::{BaseKind, ModelFile, Provenance};
 use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
@@ -37,6 +38,8 @@ pub struct ModelEdit {
     pub model: ModelFile,
     /// Held-out force errors before and after; `None` if the base has no inverse or an effect no compensation.
     pub force: Option<[ForceError; 2]>,
+    /// Whether the device compensates the effects after.
+    pub device: Vec<DeviceSupport>,
     /// Effects that the device does not compensate.
     pub uncompensated: Vec<UncompensatedEffect>,
     /// Notes on the recordings and on the effects.
@@ -92,6 +95,7 @@ pub fn refit(
             force: force.map(|(before, after)| [before, after]),
             uncompensated: after_n.uncompensated,
             sizes: effect_sizes(&new, &after, campaign.recordings.len()),
+            device: device_support(&written, &after),
             model: ModelFile { inverse: after_n.shape, ..written },
             before: (before, old),
             after: (after, new),

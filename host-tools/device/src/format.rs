@@ -11,6 +11,7 @@ use firmware::protocol::TEMPERATURE_UNKNOWN;
 use firmware::protocol::messages::{FaultEvent, Power};
 use firmware::sensors::hall;
 use firmware::system::faults::Fault;
+use firmware::tasks::calibration::CalibrationDefect;
 use serde_json::{Value, json};
 use std::fmt::Debug;
 
@@ -307,7 +308,7 @@ pub fn fault_source(fault: Fault, source: u8) -> String {
         Fault::BusStuck => format!("sensors' bus {source}"),
         Fault::StoreUnsound => match source {
             0 => "parameters",
-            1 => "uploaded calibration",
+            CALIBRATION => "uploaded calibration",
             _ => "option bytes of the chip",
         }
         .to_owned(),
@@ -317,6 +318,8 @@ pub fn fault_source(fault: Fault, source: u8) -> String {
     }
 }
 
+/// Source of [`Fault::StoreUnsound`] for an uploaded calibration.
+const CALIBRATION: u8 = 1;
 /// Source of [`Fault::StoreUnsound`] for the chip's option bytes.
 const OPTION_BYTES: u8 = 2;
 
@@ -329,12 +332,24 @@ const fn option_byte_defect(detail: u32) -> &'static str {
     }
 }
 
+/// Why an uploaded calibration does not run, and what to do ([`CalibrationDefect`]).
+const fn calibration_defect(detail: u32) -> &'static str {
+    const INVALID: u32 = CalibrationDefect::Invalid as u32;
+    const UNDECODABLE: u32 = CalibrationDefect::Undecodable as u32;
+    match detail {
+        INVALID => "damaged, or of the format of another firmware: upload the model again",
+        UNDECODABLE => "larger than this firmware's memory: upload a smaller one",
+        _ => "unknown reason",
+    }
+}
+
 /// Detail of a fault; empty where there is none.
 pub fn fault_detail(fault: Fault, source: u8, detail: u32) -> String {
     match fault {
         Fault::StoreUnsound if source == OPTION_BYTES => option_byte_defect(detail).to_owned(),
         Fault::SensorLost | Fault::SensorFrozen => format!("{detail} ticks old"),
         Fault::Unbalanced => format!("by {:.1} N", f64::from(detail) / Force::PER_NEWTON),
+        Fault::StoreUnsound if source == CALIBRATION => calibration_defect(detail).to_owned(),
         Fault::StoreUnsound => format!("reason {detail}"),
         Fault::TicksMissed => format!("{detail} since its start"),
         Fault::Crashed => format!("at {detail:#010x}"),
@@ -393,7 +408,12 @@ mod tests {
         assert_eq!(fault_detail(Fault::Unbalanced, 0, 17 << 10), "by 17.0 N");
         assert_eq!(fault_source(Fault::Flooded, SERIAL), "serial line");
         assert_eq!(fault_source(Fault::StoreUnsound, OPTION_BYTES), "option bytes of the chip");
-        assert_eq!(fault_detail(Fault::StoreUnsound, 1, 2), "reason 2");
+        assert_eq!(fault_detail(Fault::StoreUnsound, 0, 2), "reason 2");
+        let calibration = fault_detail(Fault::StoreUnsound, CALIBRATION, 1);
+        assert!(
+            calibration.contains("of another firmware: upload the model again"),
+            "{calibration}"
+        );
         let bank = fault_detail(Fault::StoreUnsound, OPTION_BYTES, 1);
         assert_eq!(bank, "the flash has one bank: set DBANK = 1");
     }

@@ -75,7 +75,7 @@ impl Log {
         }
         let mut bytes = Vec::new();
         while read != write {
-            bytes.extend_from_slice(soc.memory(buffer + read, 1).unwrap_or_default());
+            bytes.extend_from_slice(soc.memory(buffer.wrapping_add(read), 1).unwrap_or_default());
             read = (read + 1) % size;
         }
         if bytes.is_empty() {

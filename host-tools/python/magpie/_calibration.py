@@ -437,6 +437,7 @@ def simulate(
     field_noise: float | None = None,
     reference_noise: float | None = None,
     plan: PathLike | None = None,
+    orientations: Sequence[str] = (),
     seed: int = 1,
 ) -> Simulation:
     """Writes a campaign of a simulated gripper of MAGPIE's design, or of the design file `design`; effects as ``"creep"`` or
@@ -455,13 +456,16 @@ def simulate(
     temperature in kelvin. ``noise`` of the field: ``"white"``, ``"ar1"`` or ``"walk"``; ``field_noise`` in gauss and
     ``reference_noise`` in newtons are the white noise of one sample.
 
+    ``orientations``: of sensors that are mounted turned by right angles, such as ``"2=-x+y-z"``: the gripper's axis along each axis of
+    sensor 2; with ``":reversed"`` the poles of its magnet are exchanged.
+
     The true parameters are in a file outside of the campaign (default: next to it). Other defaults are those of the command.
     """
     places = [None if path is None else Path(path) for path in (truth, design, plan)]
     sizes = (whole("recordings", recordings), seconds, whole("sensors", sensors), scatter)
     drawn = (whole("random_effects", random_effects), strength)
     conditions = (load, warmer, noise, field_noise, reference_noise)
-    settings = (programme, *sizes, *drawn, *conditions, seed_number(seed))
+    settings = (list(orientations), programme, *sizes, *drawn, *conditions, seed_number(seed))
     data = json.loads(_magpie.simulate(Path(output), *places, effect_names(effects), *settings))
     return Simulation(data, Path(data["campaign"]), Path(data["truth"]))
 

@@ -84,6 +84,7 @@ def simulate(
     design: Path | None,
     plan: Path | None,
     effects: list[str],
+    orientations: list[str],
     programme: str | None,
     recordings: int | None,
     seconds: float | None,

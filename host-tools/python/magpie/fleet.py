@@ -130,8 +130,8 @@ def _rows(campaign: Path, folder: Path, common: dict, base: str, seed: int) -> t
         add("formula", formula["name"], verdict=text)
     steps = found.data["staircase"]
     for step, when in [(steps[0], "base"), (steps[-1], "with effects")] if steps else []:
-        for name, value in (step["force"] or {}).items():
-            add("error", name, value=value, unit="N", verdict=when)
+        for name in ("rms_n", "noise_n", "excess_n") if step["force"] else ():
+            add("error", name, value=step["force"][name], unit="N", verdict=when)
         add("error", "field_floors", value=step["held_out_rms_g"] / step["floor_g"], verdict=when)
     if base == "polynomial":
         return rows, {".toml": fitted.model.path.read_text()}

@@ -19,7 +19,7 @@ use analysis::network_training::{
 use analysis::notes::{Note, check_compensated};
 use analysis::replay::bags::write_bags;
 use analysis::replay::evaluation;
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, anyhow, bail};
 use device_run::networks::{NetworkSet, tables_source};
 use model_export::design::SensorDesign;
 use model_export::effects::expression::ParameterRange;
@@ -44,6 +44,7 @@ use serde_json::{Value, json};
 use sim::campaign::plan::RecordingPlan;
 use sim::campaign::settings::CampaignSettings;
 use sim::effects::{MAX_STRENGTH, draw_random_effects};
+use sim::mountings::{MountedSensor, Mountings};
 
 use crate::interrupt::{self, Progress};
 use crate::{to_text, with_notes};
@@ -369,6 +370,7 @@ fn simulate(
     design: Option<PathBuf>,
     plan: Option<PathBuf>,
     effects: Vec<String>,
+    orientations: Vec<String>,
     programme: Option<String>,
     recordings: Option<u32>,
     seconds: Option<f64>,
@@ -386,7 +388,12 @@ fn simulate(
     let result = interrupt::run(py, move |_| {
         let design = SensorDesign::read_or_magpie(design.as_deref())?;
         let default = CampaignSettings::of_design(&design);
+        let sensors = sensors.unwrap_or(default.sensors);
+        let mounted =
+            orientations.iter().map(|text| text.parse().map_err(|error: String| anyhow!(error)));
+        let mounted: Vec<MountedSensor> = mounted.collect::<Result<_>>()?;
         let settings = CampaignSettings {
+            mountings: Mountings::new(&mounted, sensors)?,
             effects: match random_effects {
                 Some(_) if !effects.is_empty() => bail!("give effects or random_effects, not both"),
                 Some(count) => draw_random_effects(seed, count, checked_strength(strength)?)?,
@@ -406,7 +413,7 @@ fn simulate(
             recordings: recordings.unwrap_or(default.recordings),
             seconds: seconds.unwrap_or(default.seconds),
             scatter: scatter.unwrap_or(default.scatter),
-            sensors: sensors.unwrap_or(default.sensors),
+            sensors,
             harder: load.unwrap_or(default.harder),
             warmer_k: warmer.unwrap_or(default.warmer_k),
             field_noise_g: field_noise.unwrap_or(default.field_noise_g),

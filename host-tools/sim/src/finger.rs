@@ -8,8 +8,8 @@ use model_export::effects::catalogue::{
     CREEP, CROSS_COUPLING, FINGERTIP_MASS, GEOMETRIC_STIFFENING, HARD_STOP, SOFTENING, THERMAL_GAP,
     TIP_SLOPE, VISCOUS_LAG,
 };
-use model_export::physics::Magnet;
 use model_export::physics::sensor::{magnet_orientation, reach_mm};
+use model_export::physics::{Magnet, SensorMounting, SensorOrientation};
 use model_export::recordings::description::NominalDesign;
 use nalgebra::{Rotation3, Vector3};
 use serde::Serialize;
@@ -150,7 +150,10 @@ pub struct SensorSpecimen {
     pub number: u32,
     /// Stiffness of the lateral and the longitudinal flexure.
     pub stiffness_n_per_mm: [f64; 2],
-    /// Remanence of the magnet.
+    /// Orientation of the element, in addition to its rotation vector.
+    #[serde(skip_serializing_if = "SensorOrientation::is_nominal")]
+    pub orientation: SensorOrientation,
+    /// Remanence of the magnet; of the other sign than the design's where its poles are exchanged.
     pub remanence_t: f64,
     /// Distance from the magnet's face to the element.
     pub gap_mm: f64,
@@ -182,6 +185,7 @@ impl SensorSpecimen {
         let mut deviate = |deviation: f64| scatter * deviation * normal(&mut rng);
         Self {
             number,
+            orientation: SensorOrientation::default(),
             stiffness_n_per_mm: [
                 design.stiffness_x_n_per_mm * (1.0 + deviate(STIFFNESS)),
                 design.stiffness_z_n_per_mm * (1.0 + deviate(STIFFNESS)),
@@ -196,6 +200,13 @@ impl SensorSpecimen {
             reach_mm: reach_mm(&magnet, axis, body_axis),
             magnet,
         }
+    }
+
+    /// The sensor in this mounting.
+    pub fn mounted(self, mounting: SensorMounting) -> Self {
+        let sign = if mounting.is_reversed { -1.0 } else { 1.0 };
+        let orientation = mounting.orientation;
+        Self { orientation, remanence_t: sign * self.remanence_t, ..self }
     }
 
     /// The element's rotation vector.

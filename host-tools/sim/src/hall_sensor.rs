@@ -6,6 +6,7 @@ use model_export::effects::catalogue::{
     DEMAGNETISATION, FIELD_DRIFT, MAGNET_TEMPERATURE, NEIGHBOUR_MAGNET, SENSOR_COMPRESSION,
     SENSOR_TEMPERATURE,
 };
+use model_export::physics::{SensorMounting, SensorOrientation};
 use model_export::recordings::description::NominalDesign;
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use rand_chacha::ChaCha8Rng;
@@ -89,10 +90,11 @@ impl SensorUnit {
         design: &NominalDesign,
         number: u32,
         (seed, scatter): (u64, f64),
+        mounting: SensorMounting,
         effects: &Effects,
         max_n: [f64; 2],
     ) -> Self {
-        let specimen = SensorSpecimen::draw(design, number, seed, scatter);
+        let specimen = SensorSpecimen::draw(design, number, seed, scatter).mounted(mounting);
         let neighbour_g = effects.each(NEIGHBOUR_MAGNET.id, number);
         Self {
             finger: SensorFinger::new(&specimen, effects, max_n),
@@ -129,6 +131,7 @@ impl SensorUnit {
 #[derive(Clone, Debug)]
 pub struct HallElement {
     rotation: Rotation3<f64>,
+    orientation: SensorOrientation,
     bias_g: Vector3<f64>,
     /// Temperature drift of the offset.
     pub per_kelvin_g: Vector3<f64>,
@@ -144,6 +147,7 @@ impl HallElement {
         let of = |id: &str| effects.each(id, specimen.number);
         Self {
             rotation: Rotation3::from_scaled_axis(specimen.rotation()),
+            orientation: specimen.orientation,
             bias_g: Vector3::from(specimen.bias_g),
             per_kelvin_g: along(Purpose::SensorTemperature) * of(SENSOR_TEMPERATURE.id),
             drift_g: along(Purpose::FieldDrift) * of(FIELD_DRIFT.id),
@@ -153,7 +157,7 @@ impl HallElement {
 
     /// An external field in the element's axes, in gauss, without compression.
     pub fn rotate(&self, field_g: Vector3<f64>) -> Vector3<f64> {
-        self.rotation * field_g
+        self.orientation.to_sensor(self.rotation * field_g)
     }
 
     /// Reading in gauss of a field in gripper axes, `session_s` after the start of the campaign.
@@ -170,7 +174,9 @@ impl HallElement {
         let compressed =
             own.map(|b| b * (1.0 - self.compression * (b / COMPRESSION_FIELD_G).powi(2)));
         let drifted = -libm::expm1(-session_s / DRIFT_S);
-        compressed + self.bias_g + self.per_kelvin_g * at.warm_k + self.drift_g * drifted
+        self.orientation.to_sensor(
+            compressed + self.bias_g + self.per_kelvin_g * at.warm_k + self.drift_g * drifted,
+        )
     }
 }
 
@@ -292,7 +298,14 @@ mod tests {
     fn displacement_outside_the_catalogue_moves_the_magnet() {
         let effects = Effects::new(&[], 5, 1, 0.0).unwrap();
         let specimen = SensorSpecimen::draw(&NominalDesign::magpie(), 0, 5, 1.0);
-        let mut unit = SensorUnit::new(&NominalDesign::magpie(), 0, (5, 1.0), &effects, [200.0; 2]);
+        let mut unit = SensorUnit::new(
+            &NominalDesign::magpie(),
+            0,
+            (5, 1.0),
+            SensorMounting::default(),
+            &effects,
+            [200.0; 2],
+        );
         let moved = SensorSpecimen {
             offset_mm: [specimen.offset_mm[0] + 0.02, specimen.offset_mm[1] - 0.03],
             gap_mm: specimen.gap_mm + 0.01,

@@ -2,6 +2,7 @@
 //!
 //! Random numbers come from one stream per purpose, so that adding an effect changes no other draw.
 //!
+//! - [`mountings`]: orientations of the sensors.
 //! - [`finger`], [`flexure`], [`friction`], [`hall_sensor`], [`external_fields`], [`effects`], [`motion`]: one sensor and
 //!   what acts on it; shared by all simulators.
 //! - [`uncatalogued`]: effects that are not in the catalogue; all but one act in campaigns only.
@@ -23,5 +24,6 @@ pub mod flexure;
 pub mod friction;
 pub mod hall_sensor;
 pub mod motion;
+pub mod mountings;
 pub mod random;
 pub mod uncatalogued;

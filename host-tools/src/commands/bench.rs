@@ -7,6 +7,7 @@ use anyhow::{Context, Result, bail, ensure};
 use clap::Subcommand;
 use device::emulation::calibration::{evaluate, record_campaign};
 use emulator::Image;
+use firmware::sensors::hall::SENSORS;
 use model_export::input;
 use model_export::output::check_absent;
 use report::text::terminal;
@@ -14,6 +15,7 @@ use serde_json::json;
 use sim::closed_loop::bench::BenchSetup;
 use sim::closed_loop::emulated_board::ChipConditions;
 use sim::effects::{Effect, draw_random_effects};
+use sim::mountings::{MountedSensor, Mountings};
 
 use crate::commands::emulate::default_image;
 use crate::commands::simulate::parse_effect;
@@ -54,6 +56,9 @@ struct HiddenArgs {
     /// Hide N random effects.
     #[arg(long, value_name = "N", conflicts_with = "effects")]
     random_effects: Option<usize>,
+    /// Orientation of a sensor, as of `simulate`; may be given several times.
+    #[arg(long = "orientation", value_name = "SENSOR=AXES[:reversed]")]
+    orientations: Vec<MountedSensor>,
     /// Seed of the gripper, its noise and its effects.
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -129,6 +134,7 @@ impl HiddenArgs {
             seed: self.seed,
             excitation_seed: self.seed.wrapping_mul(2).wrapping_add(excitation),
             scatter: 1.0,
+            mountings: Mountings::new(&self.orientations, SENSORS as u32)?,
             effects,
             recordings,
             seconds: self.seconds,

@@ -12,6 +12,7 @@ use analysis::progress;
 use analysis::statistics::pooled_rms;
 use anyhow::{Context, Result, bail};
 use firmware::config::constants;
+use model_export::design::SensorDesign;
 use model_export::effects::EffectTerm;
 use model_export::fit::FitOptions;
 use model_export::inverse::build::{ModelVariant, build};
@@ -23,17 +24,23 @@ use model_export::recordings::campaign::recording_folders;
 use report::text;
 use report::text::diagnosis::format_summary;
 use report::text::terminal;
+use sim::campaign;
+use sim::campaign::settings::CampaignSettings;
+use sim::effects::Effect;
 
 use crate::commands::print_notes;
 
 /// The complete workflow on one campaign: fit, compare, diagnose, add the missing effects.
+///
+/// Without a campaign it simulates one of a gripper with two effects that the model lacks: one of the catalogue, and one that no
+/// catalogue contains.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   cargo magpie demo
   cargo magpie demo tests/data/friction -o friction-demo --verbose")]
 pub struct Args {
-    /// Folder of recordings [default: a small campaign of the project].
+    /// Folder of recordings [default: a simulated campaign, in the output folder].
     campaign: Option<PathBuf>,
     /// Folder for models, tables and report.
     #[arg(short, long, value_name = "FOLDER", default_value = "magpie-demo")]
@@ -43,21 +50,24 @@ pub struct Args {
     verbose: bool,
 }
 
-/// The default campaign, in the source tree.
-const CAMPAIGN: &str = "tests/data/ripple";
-/// The source tree of this build.
-const SOURCE_TREE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/..");
+/// The default campaign: folder in the output, effects with magnitudes in their units, random seed, sensors, and seconds of each
+/// recording.
+const CAMPAIGN: &str = "campaign";
+const HIDDEN: [&str; 2] = ["neighbour_magnet=6", "guide_ripple"];
+const SEED: u64 = 5;
+const SENSORS: u32 = 2;
+const SECONDS: f64 = 15.0;
 
 /// The demo assumes synchronised clocks.
 const ALIGNMENT: Alignment = Alignment { delay_us: 0.0 };
 
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
-    // From the source tree its short name, which the report shows.
-    let of_build = Path::new(SOURCE_TREE).join(CAMPAIGN);
-    let own = Path::new(CAMPAIGN);
-    let default = if own.is_dir() { own } else { &of_build };
-    let folder = args.campaign.as_deref().unwrap_or(default);
+    let simulated = args.output.join(CAMPAIGN);
+    let folder = args.campaign.as_deref().unwrap_or(&simulated);
+    if args.campaign.is_none() {
+        simulate(folder)?;
+    }
     if recording_folders(folder)?.len() < 2 {
         bail!("{}: the demo needs two recordings, one to predict from the other", folder.display());
     }
@@ -119,6 +129,26 @@ pub fn run(args: &Args) -> Result<()> {
     Ok(())
 }
 
+/// Simulates the default campaign, unless an earlier demo did.
+fn simulate(folder: &Path) -> Result<()> {
+    if folder.is_dir() {
+        return Ok(());
+    }
+    let effects = HIDDEN.iter().map(|effect| effect.parse()).collect::<Result<Vec<Effect>>>()?;
+    let settings = CampaignSettings {
+        seed: SEED,
+        seconds: SECONDS,
+        sensors: SENSORS,
+        effects,
+        hidden: true,
+        ..CampaignSettings::of_design(&SensorDesign::magpie())
+    };
+    let bar = progress::progress_bar("simulating recordings", settings.numbers().count());
+    campaign::write(&settings, folder, None, || bar.inc(1))?;
+    bar.finish_and_clear();
+    Ok(())
+}
+
 /// Explains a residual that is mainly along the gap.
 fn gap_axis_note(model: &ModelFile) -> String {
     let axes = || model.sensors.iter().flat_map(|sensor| &sensor.held_out);
@@ -169,9 +199,11 @@ fn found(diagnosis: &Diagnosis) -> String {
         return terminal::paragraph(&format!("3. Diagnose. {verdict}"));
     }
     let heading = format!(
-        "3. Diagnose. {verdict} No effect of the catalogue explains as much with as few coefficients; it is a formula, not a cause:"
+        "3. Diagnose. {verdict} No effect of the catalogue explains as much as the formula with as few coefficients; it is not a cause:"
     );
-    terminal::paragraph(&heading) + &formulas.concat()
+    let covariates = diagnosis.formulas.iter().flat_map(|formula| &formula.covariates);
+    let causes = terminal::paragraph(&text::causes::causes_sentence(covariates));
+    terminal::paragraph(&heading) + &formulas.concat() + &causes
 }
 
 /// Adds the accepted effects one by one; returns what was added and the file of each model.

@@ -16,6 +16,7 @@ use sim::campaign::settings::{
 use sim::effects::{EFFECT_KINDS, Effect, EffectKind, MAX_STRENGTH, draw_random_effects};
 use sim::hall_sensor::NoiseKind;
 use sim::motion::Programme;
+use sim::mountings::{MountedSensor, Mountings};
 
 /// Generate a campaign of a simulated gripper with given or random physical effects.
 #[derive(Debug, clap::Args)]
@@ -51,6 +52,10 @@ pub struct Args {
     /// Number of sensors [default: that of the design].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(MAX_SENSORS)))]
     sensors: Option<u32>,
+    /// Orientation of a sensor by right angles: the gripper's axis along each of its own, x to z [default: +x+y+z]; with :reversed the
+    /// poles of its magnet are exchanged. May be given several times; recorded only in the truth file.
+    #[arg(long = "orientation", value_name = "SENSOR=AXES[:reversed]")]
+    orientations: Vec<MountedSensor>,
     /// Factor on the manufacturing scatter; 0 is a nominal gripper.
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
     scatter: f64,
@@ -91,6 +96,7 @@ Examples:
   cargo magpie simulate -o disturbed --effect external_magnet=60   # times in disturbed-truth.toml
   cargo magpie simulate -o hard --load 1.3 --warmer 15    # the same gripper beyond the fitted range
   cargo magpie simulate -o other --design design.toml     # another magnet, stiffness, number of sensors
+  cargo magpie simulate -o mirrored --orientation 2=-x+y-z --orientation 3=-x+y-z    # two sensors turned about y
   cargo magpie simulate -o ripple --effect guide_ripple   # no effect of the catalogue
   cargo magpie simulate -o decided --programme single-sine --effect viscous_lag --plan plan.toml    # of diagnose --plan
   cargo magpie simulate -o blind --random-effects 2 --seed 7    # the solution is in blind-truth.toml
@@ -141,12 +147,14 @@ fn settings(args: &Args) -> Result<CampaignSettings> {
         bail!("--strength {:?} is not possible here; give 0 to {MAX_STRENGTH}", args.strength);
     }
     let design = SensorDesign::read_or_magpie(args.design.as_deref())?;
+    let sensors = args.sensors.unwrap_or(design.sensors);
     let settings = CampaignSettings {
         seed: args.seed,
         programme: args.programme,
         recordings: args.recordings,
         seconds: args.seconds,
-        sensors: args.sensors.unwrap_or(design.sensors),
+        sensors,
+        mountings: Mountings::new(&args.orientations, sensors)?,
         scatter: args.scatter,
         noise: args.noise,
         harder: args.load,

@@ -145,8 +145,8 @@ fn skew_of_the_clocks_is_to_be_aligned() {
     let dir = WorkDir::empty();
     dir.stdout("simulate -o late --effect clock_skew=5 --seconds 12 --sensors 1 --recordings 3");
     dir.stdout("fit late -o model.toml");
-    let text = text(&dir.stdout("add model.toml late clock_skew"));
-    let (_, delay_ms) = text.split_once("--delay-ms ").unwrap();
+    let text = text(&dir.stdout("add model.toml late clock_skew")).replace('\n', " ");
+    let (_, delay_ms) = text.split_once("`cargo magpie fit` with --delay-ms ").unwrap();
     let delay_ms: f64 = delay_ms.split_once(',').unwrap().0.parse().unwrap();
     dir.stdout(&format!("fit late -o aligned.toml --delay-ms {delay_ms}"));
     let excess_n = |model: &str| {
@@ -226,10 +226,92 @@ fn invalid_effect_is_refused_with_a_reason() {
     assert!(message.contains("it has no effects"), "{message}");
 }
 
+/// What a formula depends on, at one row of one sensor.
+struct Conditions {
+    opening_mm: f64,
+    opening_mm_per_s: f64,
+    force_n: [f64; 2],
+    fx_n_per_s: f64,
+}
+
+/// Value of a series of 100 Hz between its rows, and its rate per second over 40 ms.
+fn at(values: &[f64], time_s: f64) -> (f64, f64) {
+    let value = |time_s: f64| {
+        let place = (100.0 * time_s).clamp(0.0, (values.len() - 1) as f64);
+        let (before, after) = (place.floor() as usize, place.ceil() as usize);
+        values[before] + (values[after] - values[before]) * place.fract()
+    };
+    (value(time_s), (value(time_s + 0.02) - value(time_s - 0.02)) / 0.04)
+}
+
+/// Changes the readings of `clean`, in LSB, by a function of the conditions.
+fn with_effect(change: impl Fn([f64; 3], &Conditions) -> [f64; 3]) -> CampaignCopy {
+    let mut copy = CampaignCopy::new();
+    for recording in [1, 2, 3] {
+        let forces = CsvTable::read(&copy.recording(recording).join("force.csv.gz"));
+        copy = copy.change(&[recording], "hall.csv", |hall| {
+            let opening_mm = hall.numbers("opening_mm");
+            let opening_mm: Vec<f64> = opening_mm.into_iter().step_by(10).collect();
+            for sensor in 0..4 {
+                let force = |axis| forces.numbers(&format!("f{sensor}_{axis}_n"));
+                let (fx, fz) = (force("x"), force("z"));
+                let columns =
+                    ["x", "y", "z"].map(|axis| hall.index(&format!("s{sensor}_{axis}_lsb")));
+                for (row, cells) in hall.rows.iter_mut().enumerate() {
+                    let time_s = 1e-3 * row as f64;
+                    let (opening_mm, opening_mm_per_s) = at(&opening_mm, time_s);
+                    let (fx_n, fx_n_per_s) = at(&fx, time_s);
+                    let conditions = Conditions {
+                        opening_mm,
+                        opening_mm_per_s,
+                        force_n: [fx_n, at(&fz, time_s).0],
+                        fx_n_per_s,
+                    };
+                    let reading = columns.map(|column| cells[column].parse().unwrap());
+                    let changed = change(reading, &conditions);
+                    for (column, value) in columns.into_iter().zip(changed) {
+                        cells[column] = format!("{value:.0}");
+                    }
+                }
+            }
+        });
+    }
+    copy
+}
+
+type Change = fn([f64; 3], &Conditions) -> [f64; 3];
+
+#[test]
+fn formulas_over_forces_and_rates_reduce_the_force_error() {
+    let gain: Change = |b, at| b.map(|b| b * (1.0 + 5e-6 * at.opening_mm * at.force_n[1]));
+    // 0.2 G per mm/s, and 585 G/mm at 0.01 um per N/s.
+    let field: Change = |[x, y, z], at| [x + 8.0 * 0.2 * at.opening_mm_per_s, y, z];
+    let rate: Change = |[x, y, z], at| [x + 8.0 * 5.85e-3 * at.fx_n_per_s, y, z];
+    for (formula, change) in [
+        ("own: gain_percent = a*opening_mm*fz_n", gain),
+        ("own: bx_g = a*opening_rate_mm_per_s", field),
+        ("own: dx_um = a*fx_rate_n_per_s", rate),
+    ] {
+        let copy = with_effect(change);
+        let campaign = copy.path().display().to_string();
+        let dir = WorkDir::empty();
+        dir.stdout(&["fit", &campaign, "-o", "model.toml"]);
+        let added = Fitted { dir, campaign }.add(&["--expr", formula]);
+        let excess_n = |side: &str| number(&added["force"][side]["excess_n"]);
+        let (before, after) = (excess_n("before"), excess_n("after"));
+        assert!(before > 0.3 && after < 0.5 * before, "{formula}: {before} {after}");
+        let device = &added["device"][0];
+        assert_eq!((&device["effect"], &device["runs"]), (&"own".into(), &true.into()));
+    }
+}
+
 #[test]
 fn export_refuses_formula_unknown_to_the_board() {
     let fitted = Fitted::of("ripple");
-    fitted.add(&["--expr", "slow: by_g = a*time_s", "-o", "new.toml"]);
+    let added = fitted.add(&["--expr", "slow: by_g = a*time_s", "-o", "new.toml"]);
+    let device = &added["device"][0];
+    assert_eq!((&device["effect"], &device["runs"]), (&"slow".into(), &false.into()));
+    assert!(device["detail"].as_str().unwrap().contains("time_s"), "{device}");
     let message = fitted.dir.failure("export new.toml -o tables.rs");
     let is_named = message.contains("slow") && message.contains("the board does not know time_s");
     assert!(is_named, "{message}");

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use analysis::compare::Comparison;
 use analysis::compare::pipeline::compare;
-use analysis::compare::{Validation, floor_g, rms_g};
+use analysis::compare::{ErrorUnit, Validation, floor_g, rms_g};
 use analysis::notes::Note;
 use model_export::fit::FitOptions;
 use model_export::recordings::align::Alignment;
@@ -30,18 +30,20 @@ fn neighbour_magnet_is_attributed_to_the_opening() {
     let comparison = compared(&fitted_model("demo"), "demo");
     let (covariate, share) = chosen(&comparison).remove(0);
     assert_eq!(covariate, "opening_mm");
-    assert!((0.45..=1.0).contains(&share), "{share}");
+    // Of the squared force error above the noise, of which the magnet's field causes a smaller part than of the field's error.
+    assert!((0.3..=1.0).contains(&share), "{share}");
     assert!(verdict(&comparison).starts_with("Structure remains"), "{}", verdict(&comparison));
     assert!(verdict(&comparison).contains("follows the opening, most of it below"));
 }
 
 #[test]
-fn temperature_is_attributed_before_friction() {
+fn friction_is_attributed_before_a_temperature_that_hardly_changes_the_forces() {
     let comparison = compared(&fitted_model("friction"), "friction");
     let chosen = chosen(&comparison);
-    assert_eq!(chosen[0].0, "temp_c", "{chosen:?}");
+    // In gauss the warm magnet dominates, along the gap, on which the forces hardly depend.
     let loading = ["loading_x", "loading_z", "fx_rate_n_per_s", "fz_rate_n_per_s"];
-    assert!(loading.contains(&chosen[1].0.as_str()), "{chosen:?}");
+    assert!(loading.contains(&chosen[0].0.as_str()) && chosen[0].1 > 0.4, "{chosen:?}");
+    assert_eq!(comparison.located[0].error_unit, ErrorUnit::Newton);
 }
 
 #[test]
@@ -195,7 +197,7 @@ fn constant_offset_is_not_attributed_to_a_covariate() {
     let comparison = compared(&fitted_model("demo"), "clean");
     let (covariate, share) = chosen(&comparison).remove(0);
     assert_eq!(covariate, "constant");
-    // Two grippers of one design: their fields at rest differ by far more than their slopes.
-    assert!(share > 0.5, "{share}");
+    // Two grippers of one design: their forces at rest differ by more than what follows any covariate.
+    assert!(share > 0.4, "{share}");
     assert!(verdict(&comparison).contains("another gripper"), "{}", verdict(&comparison));
 }

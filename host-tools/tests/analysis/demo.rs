@@ -33,22 +33,27 @@ fn errors(report: &str) -> Vec<(String, [f64; 3])> {
 }
 
 #[test]
-fn demo_finds_a_formula_and_reduces_the_error_to_a_fifth() {
+fn demo_adds_an_effect_and_a_formula_and_the_force_error_falls_twice() {
     let (report, dir) = demo(&[]);
     let errors = errors(&report);
-    assert_eq!(errors.len(), 2, "{report}");
-    assert_eq!(errors[1].0, "+ formula_1");
-    let ([.., before, _], [after, error, noise]) = (errors[0].1, errors[1].1);
-    assert!(before > 5.0 * error && after < 0.15 && (0.40..0.45).contains(&noise), "{errors:?}");
+    let names: Vec<&str> = errors.iter().map(|(name, _)| name.as_str()).collect();
+    assert_eq!(names, ["base model", "+ neighbour_magnet", "+ formula_1"], "{report}");
+    let [base, with_magnet, with_both] = [0, 1, 2].map(|step| errors[step].1);
+    assert!(with_magnet[0] < 0.6 * base[0] && with_both[0] < 0.1 * with_magnet[0], "{errors:?}");
+    let [after, error, noise] = with_both;
+    assert!((0.40..0.45).contains(&noise), "{errors:?}");
     assert!((error.powi(2) - noise.powi(2) - after.powi(2)).abs() < 0.002, "{errors:?}");
-    assert!(report.contains("follows the rotor angle") && report.contains("sin(motor_angle_rad)"));
-    assert!(report.lines().count() <= 25, "{report}");
+    assert!(report.contains("follows the opening") && report.contains("sin(2*pi*opening_mm/"));
+    // What commonly moves with the opening, as a suggestion.
+    assert!(report.contains("What commonly moves, to check: with opening_mm: "), "{report}");
+    assert!(report.lines().count() <= 32, "{report}");
     for line in report.lines() {
         assert!(line.chars().count() <= 100 || line.contains("MAGPIE_TABLES"), "{line}");
     }
-    assert_eq!(files(&dir), ["better-1.toml", "model.toml", "report.html", "tables.rs"]);
+    let written = ["better-1.toml", "better-2.toml", "campaign", "campaign-truth.toml"];
+    assert_eq!(files(&dir), [&written[..], &["model.toml", "report.html", "tables.rs"]].concat());
     // The commands print the same numbers.
-    let diagnosis = dir.json(&format!("diagnose model.toml {} --json", campaign("ripple")));
+    let diagnosis = dir.json("diagnose model.toml campaign --json");
     for (step, (_, [excess, error, noise])) in
         diagnosis["staircase"].as_array().unwrap().iter().zip(&errors)
     {
@@ -80,10 +85,10 @@ fn demo_of_friction_finds_hysteresis_and_temperature() {
     // Equivalent effects are reported with a recording that separates them.
     assert!(report.contains("Equivalent on these data"), "{report}");
     assert!(errors[2].1[0] < 0.2 * errors[0].1[0], "{errors:?}");
-    // A step that raises the error is explained below the table.
+    // A step that raises the excess is stated below the table.
     let (_, table) = report.split_once("4. Add.").unwrap();
-    assert!(errors[1].1[1] > errors[0].1[1], "{errors:?}");
-    assert!(table.contains("the error of the forces rises"), "{report}");
+    assert!(errors[1].1[0] > errors[0].1[0], "{errors:?}");
+    assert!(table.contains("the excess of the forces rises"), "{report}");
     assert!(files(&dir).contains(&"better-2.toml".to_owned()));
 }
 

@@ -141,6 +141,8 @@ fn formula_is_found_where_no_effect_of_the_catalogue_explains_the_residual() {
     assert_eq!(formula["covariates"], serde_json::json!(["motor_angle_rad"]), "{formula}");
     assert_eq!(formula["targets"], serde_json::json!(["dz_um"]), "{formula}");
     assert_eq!(formula["partial"], false);
+    let runs = serde_json::json!([true, "while the rotor sensor works"]);
+    assert_eq!(serde_json::json!([formula["device"]["runs"], formula["device"]["detail"]]), runs);
     assert!(formula["p_value"].as_f64().unwrap() < 0.01, "{formula}");
     let stairs = staircase(&diagnosis);
     assert!(stairs[0] > 2.0 && *stairs.last().unwrap() < 1.15, "{stairs:?}");

@@ -7,7 +7,9 @@ mod compare;
 mod demo;
 mod diagnose;
 mod diagnose_variants;
+mod force_error;
 mod networks;
+mod orientation;
 mod setup_errors;
 #[path = "../workdir/mod.rs"]
 mod workdir;

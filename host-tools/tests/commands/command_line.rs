@@ -163,7 +163,9 @@ fn polynomial_of_two_forces_gives_newtons_and_tables() {
     assert!(rms_n > 0.0 && rms_n < 1.1 * force(&fit, "noise_n"), "{fit}");
     let comparison = dir.json(&["compare", "model.toml", &clean, "--json"]);
     assert_eq!(force(&comparison, "rms_n"), rms_n);
-    dir.stdout(&["add", "model.toml", &clean, "sensor_temperature", "-o", "better.toml"]);
+    let add = ["add", "model.toml", &clean, "sensor_temperature", "-o", "better.toml"];
+    let added = text(&dir.stdout(&add));
+    assert!(added.contains("sensor_temperature runs on the device: yes."), "{added}");
     let replay = dir.json(&["replay", "better.toml", &clean, "--json"]);
     assert!(force(&replay, "rms_n") < 1.1 * force(&replay, "noise_n"), "{replay}");
     assert_eq!(

@@ -14,6 +14,7 @@ use model_export::inverse::build::{ModelVariant, build};
 use model_export::inverse::calibration::{CalibrationDescription, encode_calibration};
 use sim::closed_loop::bench::{BenchSetup, EmulatedBench};
 use sim::closed_loop::emulated_board::ChipConditions;
+use sim::mountings::Mountings;
 use tests::data;
 
 use crate::Effort;
@@ -29,6 +30,9 @@ const EFFECTS: [&str; 3] = ["magnet_temperature", "neighbour_magnet", "hysteresi
 const WITH_NETWORKS: &str = "neighbour_magnet";
 /// Largest ratio of the board's error to that of a replay of the same rows.
 const MAX_RATIO: f64 = 1.05;
+/// Bounds of a gripper without effects: the error of a replay in newtons, and the share of valid forces.
+const MAX_ERROR_N: f64 = 0.3;
+const MIN_VALID: f64 = 0.9;
 
 /// All columns of a recording that do not belong to a sensor.
 const COVARIATES: &str = "opening_mm,motor_iq_a,motor_angle_rad,accel_x_mps2,accel_y_mps2,accel_z_mps2,roll_rad,pitch_rad,yaw_rad";
@@ -39,6 +43,7 @@ pub fn trials(effort: Effort) -> Vec<Trial> {
     };
     let mut trials: Vec<Trial> = EFFECTS.into_iter().map(trial).collect();
     let seconds = if effort == Effort::Acceptance { 100 } else { 5 };
+    trials.push(Trial::test("calibration_of_turned_sensors", calibrates_turned_sensors));
     trials.push(Trial::test("recording_loses_no_tick", move || records(seconds)));
     trials
 }
@@ -49,6 +54,7 @@ fn records(seconds: u32) -> Result<(), Failed> {
         seed: 1,
         excitation_seed: 1,
         scatter: 1.0,
+        mountings: Mountings::default(),
         effects: Vec::new(),
         recordings: 1,
         seconds: seconds.into(),
@@ -79,6 +85,7 @@ fn calibrates(effect: &str) -> Result<(), Failed> {
         seed: 1,
         excitation_seed: 1,
         scatter: 1.0,
+        mountings: Mountings::default(),
         effects: vec![effect.parse().map_err(|error| format!("{error:#}"))?],
         recordings: 3,
         seconds: 6.0,
@@ -103,6 +110,37 @@ fn calibrates(effect: &str) -> Result<(), Failed> {
         Ok(())
     };
     run().map_err(|error| Failed::from(format!("{error:#}")))
+}
+
+/// The sensors of the second finger are turned, one of them by 180 degrees as in a mirrored finger, the other one with a reversed
+/// magnet. The board needs their orientations to home, which a campaign without its motor gives.
+fn calibrates_turned_sensors() -> Result<(), Failed> {
+    let orientations = ["2=-x+y-z", "3=+z+x+y:reversed"];
+    let mounted = orientations.map(|text| text.parse().expect("an orientation"));
+    let setup = BenchSetup {
+        seed: 1,
+        excitation_seed: 1,
+        scatter: 1.0,
+        mountings: Mountings::new(&mounted, 4)?,
+        effects: Vec::new(),
+        recordings: 3,
+        seconds: 4.0,
+    };
+    let evaluation =
+        BenchSetup { excitation_seed: 2, recordings: 1, seconds: 4.0, ..setup.clone() };
+    let dir = WorkDir::empty();
+    let options = orientations.map(|text| format!("--orientation {text}")).join(" ");
+    dir.stdout(&format!("simulate -o still --programme still --seconds 6 --seed 9 {options}"));
+    dir.stdout("fit still -o still.toml");
+    let image = image(Variant::Default)?.image.clone();
+    let folder = dir.0.path();
+    let found = identify(image.clone(), &dir.path("still.toml"), &setup, TYPICAL, folder)?;
+    assert_eq!(found.accepted.len(), 0, "{:?}", found.accepted);
+    let errors = evaluate(image, &found.model, &evaluation, TYPICAL, &folder.join("evaluation"))?;
+    println!("turned sensors: {errors:?}");
+    assert!(errors.board_n <= MAX_RATIO * errors.replay_n, "{errors:?}");
+    assert!(errors.replay_n < MAX_ERROR_N && errors.valid > MIN_VALID, "{errors:?}");
+    Ok(())
 }
 
 /// The gripper grips with everything that a board can run, compensation and a network for each sensor, where no access to flash

@@ -19,7 +19,7 @@ pub enum Variant {
     Default,
     /// A plain fit of another gripper.
     Clean,
-    /// The same with every effect that the device compensates.
+    /// The same with every effect that the device compensates, and a formula over a force.
     Effects,
     /// Two of four sensors, with effects and networks behind them.
     Friction,
@@ -69,7 +69,7 @@ impl Variant {
                     matches!(effect.device, DeviceForm::Field(_) | DeviceForm::Force(_))
                 });
                 let ids = compensated.map(|effect| effect.id);
-                ids.chain(["--expr=own: bx_g = a*opening_mm*motor_iq_a"]).collect()
+                ids.chain(["--expr=own: bx_g = a*opening_mm*fz_n"]).collect()
             }
             Self::Friction => vec!["hysteresis", "magnet_temperature"],
             Self::Ripple => vec![

@@ -13,7 +13,7 @@ use crate::fit::polynomial::{self, PolynomialFit};
 use crate::fit::rows::{SensorRows, own_forces};
 use crate::fit::{AxisScore, FitError, FitOptions, orientation};
 use crate::model_file::BaseKind;
-use crate::physics::ForwardModel;
+use crate::physics::{ForwardModel, SensorMounting};
 use crate::recordings::columns::Axis;
 use crate::recordings::description::NominalDesign;
 use crate::recordings::in_order;
@@ -72,6 +72,14 @@ const CLEARLY: f64 = 0.01;
 impl FitSetup {
     /// With the cylinder base, for every sensor with a force recorded; the others, and forces that were not, are reported as notices.
     pub fn cylinder(campaign: &Campaign) -> Result<Self, FitError> {
+        Self::cylinder_mounted(campaign, |_| None)
+    }
+
+    /// The same with known mountings of the sensors; those of others are found from the recordings.
+    pub fn cylinder_mounted(
+        campaign: &Campaign,
+        known: impl Fn(u32) -> Option<SensorMounting> + Sync,
+    ) -> Result<Self, FitError> {
         let design = campaign
             .design()
             .ok_or_else(|| FitError::NoDesign { place: Location::file(&campaign.folder) })?;
@@ -91,14 +99,29 @@ impl FitSetup {
         {
             return Err(first);
         }
-        in_order(rows.par_iter().map(|rows| {
+        let mounted = in_order(rows.par_iter().map(|rows| {
             rows.check_excitation(campaign)?;
-            orientation::check(campaign, rows, &nominal)
+            match known(rows.sensor) {
+                Some(mounting) => {
+                    orientation::check(campaign, rows, &nominal, mounting)?;
+                    Ok((mounting, None))
+                }
+                None => orientation::find(campaign, rows, &nominal),
+            }
         }))?;
-        let base = || Arc::new(CylinderBase { nominal }) as Arc<dyn BaseModel>;
+        let base = |mounting: &SensorMounting| {
+            Arc::new(CylinderBase { nominal: mounting.nominal(&nominal) }) as Arc<dyn BaseModel>
+        };
+        let bases = mounted.iter().map(|(mounting, _)| base(mounting)).collect();
+        let mut notices = left_out(campaign, &rows, BaseKind::Cylinder);
+        let mounted = rows.into_iter().zip(mounted).map(|(rows, (mounting, notice))| {
+            notices.extend(notice);
+            rows.turned(mounting.orientation)
+        });
+        let rows = mounted.collect();
         Ok(Self {
-            bases: rows.iter().map(|_| base()).collect(),
-            notices: left_out(campaign, &rows, BaseKind::Cylinder),
+            bases,
+            notices,
             rows,
             design: Some(design.clone()),
             polynomials: Vec::new(),

@@ -303,7 +303,13 @@ mod tests {
             }
         };
         let parts = durations_s.iter().map(part).collect();
-        SensorRows { sensor: 0, forces: Vec::new(), parts, stride: 1 }
+        SensorRows {
+            sensor: 0,
+            orientation: Default::default(),
+            forces: Vec::new(),
+            parts,
+            stride: 1,
+        }
     }
 
     #[test]

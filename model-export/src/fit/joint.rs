@@ -10,6 +10,7 @@ use crate::fit::problem::SensorProblem;
 use crate::fit::rows::SensorRows;
 use crate::fit::sensor_fit::{self, SensorSolution, add_errors, held_out_errors};
 use crate::fit::{AxisScore, FitError, FitOptions};
+use crate::physics::SensorOrientation;
 use crate::recordings::columns::Axis;
 use crate::recordings::in_order;
 use nalgebra::{DMatrix, DVector};
@@ -27,6 +28,8 @@ pub struct SensorFit {
     pub sensor: u32,
     /// Forces of the fitted rows.
     pub forces: Vec<(u32, Axis)>,
+    /// Its orientation.
+    pub orientation: SensorOrientation,
     /// Base parameters, then those of each effect.
     pub parameters: Vec<FreeParameter>,
     /// Number of base parameters.
@@ -407,6 +410,7 @@ fn sensor_result(
     SensorFit {
         sensor: problem.rows.sensor,
         forces: problem.rows.forces.clone(),
+        orientation: problem.rows.orientation,
         base_count: problem.base_count,
         offset_confounded: (0..problem.offset_count)
             .any(|index| variance_inflation(&state.blocks, index) > MAX_VARIANCE_INFLATION),

@@ -1,18 +1,33 @@
-//! Plausibility of the columns before the fit: swapped, flipped or wrongly scaled columns would give a bad fit
-//! that looks like bad physics.
+//! Mounting of each sensor, and plausibility of the columns before the fit: swapped, flipped or wrongly scaled columns would
+//! give a bad fit that looks like bad physics.
 //!
 //! For each recording and sensor the field is regressed on the two forces; slopes and field at rest are
 //! compared with the nominal design. Only gross errors count: a factor of three or a wrong sign, far beyond
 //! manufacturing tolerances.
+//!
+//! Where the nominal mounting is implausible, the other 47 are tried: 24 orientations by right angles, each with both polarities of
+//! the magnet. The field at rest gives the sensor's axis along the gap with its sign, each slope one of the others, so that both
+//! slopes leave one mounting at most. All recordings must agree with it.
+//!
+//! Some mountings give the readings of an error in the columns. The slopes do not distinguish a force column from a field column,
+//! and the field along the gap, which is even in both forces, does not either:
+//!
+//! | readings | as of | decision |
+//! | --- | --- | --- |
+//! | one field or force column negated | a reversed magnet on a sensor turned by 180 degrees | error |
+//! | two field columns, or the two force columns, exchanged | a reversed magnet on a sensor turned by 180 degrees about a diagonal | error |
+//! | both force columns negated | a sensor turned by 180 degrees about the gap | mounting, with a notice |
+//! | two field columns exchanged and one negated, or two negated | a turned sensor | mounting |
+//! | all three field columns negated | a reversed magnet | mounting |
 
 use nalgebra::{Matrix3, SMatrix, Vector3};
 use rayon::prelude::*;
 
 use crate::fit::FitError;
-use crate::fit::rows::SensorRows;
-use crate::physics::ForwardModel;
+use crate::fit::rows::{SensorRows, own_forces};
+use crate::physics::{ForwardModel, SensorMounting, SensorOrientation};
 use crate::recordings::columns::Axis;
-use crate::recordings::{Campaign, Location, Recording};
+use crate::recordings::{Campaign, Location, Notice, Recording};
 
 /// Maximum plausible factor from nominal, either way.
 const SCALE: f64 = 3.0;
@@ -41,7 +56,7 @@ const FORCE_UNITS_N: [(&str, f64); 5] =
     [("kN", 1e3), ("kgf", 9.806_65), ("lbf", 4.448_222), ("gf", 9.806_65e-3), ("mN", 1e-3)];
 const SAME_UNIT: f64 = 1.4;
 
-/// Checks every recording's columns for `sensor` against the nominal design.
+/// Checks every recording's columns for a sensor in this mounting against the nominal design.
 ///
 /// # Errors
 /// The first implausible column.
@@ -49,28 +64,153 @@ pub fn check(
     campaign: &Campaign,
     rows: &SensorRows,
     nominal: &ForwardModel,
+    mounting: SensorMounting,
 ) -> Result<(), FitError> {
+    let nominal = mounting.nominal(nominal);
+    let slopes = recorded_slopes(campaign, rows);
+    check_slopes(campaign, rows, &nominal, mounting.orientation, &slopes)
+}
+
+/// Mounting of a sensor: the nominal one where it is plausible, else the only plausible one. A notice says where the sensor is
+/// mounted otherwise, or where the recordings do not determine it.
+///
+/// # Errors
+/// The first column that is implausible in the nominal mounting, where no other is plausible; several mountings are.
+pub fn find(
+    campaign: &Campaign,
+    rows: &SensorRows,
+    nominal: &ForwardModel,
+) -> Result<(SensorMounting, Option<Notice>), FitError> {
     let sensor = rows.sensor;
-    for recording in &campaign.recordings {
-        let Some(slopes) = Slopes::of(campaign, recording, (rows, sensor), 0) else {
-            continue;
-        };
-        let found = Check { campaign, recording, rows, sensor, nominal, slopes };
-        found.rest_field()?;
-        found.forces()?;
+    let slopes = recorded_slopes(campaign, rows);
+    let check = |mounting: SensorMounting| {
+        let nominal = mounting.nominal(nominal);
+        check_slopes(campaign, rows, &nominal, mounting.orientation, &slopes)
+    };
+    let unknown = (0..2).find(|&force| slopes.iter().all(|(_, s)| s.per_newton[force].is_none()));
+    let notice = |message| Notice { location: Location::file(&campaign.folder), message };
+    let Err(error) = check(SensorMounting::default()) else {
+        let notice = unknown.map(|force| notice(not_moved(sensor, force)));
+        return Ok((SensorMounting::default(), notice));
+    };
+    let is_plausible = |mounting: &SensorMounting| {
+        let nominal = mounting.nominal(nominal);
+        slopes.iter().all(|(recording, slopes)| {
+            Check::new(campaign, recording, rows, &nominal, mounting.orientation, slopes)
+                .is_plausible()
+        })
+    };
+    let mountings = SensorOrientation::all().flat_map(|orientation| {
+        [false, true].map(|is_reversed| SensorMounting { orientation, is_reversed })
+    });
+    let found: Vec<SensorMounting> = mountings.filter(is_plausible).collect();
+    let is_measured = |force: usize| rows.forces.contains(&own_forces(sensor)[force]);
+    match (found.as_slice(), unknown) {
+        ([mounting], _) if mounting.equals_column_error() => {
+            Err(with_advice(error, WITH_REVERSED_MAGNET))
+        }
+        ([mounting], _) => Ok((*mounting, Some(notice(description(sensor, *mounting))))),
+        ([_, _, ..], Some(force)) if !is_measured(force) => {
+            let column = force_column(sensor, force);
+            Err(with_advice(
+                error,
+                &format!(
+                    "; or, if all columns are right, sensor {sensor} is not mounted as in the design: record {column}, too, which determines its orientation"
+                ),
+            ))
+        }
+        ([_, _, ..], Some(force)) => Err(FitError::Orientation {
+            place: Location::file(&campaign.folder).column(force_column(sensor, force)),
+            what: format!(
+                "sensor {sensor} is not mounted as in the design, and {} mountings explain its field, since this force does not move by itself",
+                found.len()
+            ),
+            advice: "record this force while the other one rests, and fit all recordings together"
+                .to_owned(),
+        }),
+        _ => Err(error),
     }
-    Ok(())
+}
+
+/// Further advice for the error of a column that a reversed magnet explains, too.
+const WITH_REVERSED_MAGNET: &str = "; or, if all columns are right, the magnet sits the other way round on a turned sensor: give remanence_t the other sign in recording.toml";
+
+/// The error of a column with further advice.
+fn with_advice(error: FitError, further: &str) -> FitError {
+    match error {
+        FitError::Orientation { place, what, advice } => {
+            FitError::Orientation { place, what, advice: advice + further }
+        }
+        other => other,
+    }
+}
+
+fn not_moved(sensor: u32, force: usize) -> String {
+    format!(
+        "the orientation of sensor {sensor} is assumed to be that of the design: {} does not move by itself in any recording",
+        force_column(sensor, force)
+    )
+}
+
+fn description(sensor: u32, mounting: SensorMounting) -> String {
+    let SensorMounting { orientation, is_reversed } = mounting;
+    let mut text = format!("sensor {sensor} is mounted");
+    if !orientation.is_nominal() {
+        let axes = orientation.gripper_axes().map(|(axis, is_negated)| {
+            format!("{}{}", if is_negated { "-" } else { "" }, Axis::ALL[axis].letter())
+        });
+        text += &format!(" turned: its x, y and z are the gripper's {}", axes.join(", "));
+    }
+    if is_reversed {
+        let and = if orientation.is_nominal() { " with" } else { ", and" };
+        text += &format!("{and} the poles of its magnet exchanged");
+    }
+    text += "; results are in the gripper's axes, and the board turns its readings";
+    if orientation.sensor_axes() == [(0, true), (1, false), (2, true)] && !is_reversed {
+        text += &format!(
+            "; with the other sign of both {} and {} it would be mounted as in the design",
+            force_column(sensor, 0),
+            force_column(sensor, 1)
+        );
+    }
+    text
+}
+
+fn force_column(sensor: u32, force: usize) -> String {
+    format!("f{sensor}_{}_n", ["x", "z"][force])
+}
+
+/// The slopes of each recording in which the sensor has any.
+fn recorded_slopes<'a>(campaign: &'a Campaign, rows: &SensorRows) -> Vec<(&'a Recording, Slopes)> {
+    let places = (rows, rows.sensor);
+    let of = |recording| Some((recording, Slopes::of(campaign, recording, places, 0)?));
+    campaign.recordings.iter().filter_map(of).collect()
+}
+
+fn check_slopes(
+    campaign: &Campaign,
+    rows: &SensorRows,
+    nominal: &ForwardModel,
+    orientation: SensorOrientation,
+    slopes: &[(&Recording, Slopes)],
+) -> Result<(), FitError> {
+    slopes.iter().try_for_each(|(recording, slopes)| {
+        let check = Check::new(campaign, recording, rows, nominal, orientation, slopes);
+        check.rest_field()?;
+        check.forces()
+    })
 }
 
 /// Field at zero force, and its slope to each force that varies.
+#[derive(Clone, Copy)]
 struct Slopes {
     rest_g: Vector3<f64>,
     /// `[dB/dFx, dB/dFz]` in G/N; `None` where the force does not move.
     per_newton: [Option<Vector3<f64>>; 2],
     /// Whether the force is small in every recording.
     is_small: [bool; 2],
-    /// Fraction of the variance of the field along x and z that the regression explains.
-    explained: f64,
+    /// Sums of squares of each axis: of the regression's residual, and about the mean.
+    squares: [Vector3<f64>; 2],
 }
 
 impl Slopes {
@@ -125,26 +265,47 @@ impl Slopes {
             normal[(i, j)] / count - normal[(0, i)] * normal[(0, j)] / (count * count)
         };
         let correlation = covariance(1, 2) / (covariance(1, 1) * covariance(2, 2)).sqrt();
-        if moves == [true, true] && correlation.abs() > MAX_CORRELATION {
-            return None;
-        }
+        let moves = if moves == [true, true] && correlation.abs() > MAX_CORRELATION {
+            [false; 2]
+        } else {
+            moves
+        };
         // A constant force has no defined slope: regularised to zero.
         for (i, moves) in moves.iter().enumerate() {
             normal[(i + 1, i + 1)] += if *moves { 0.0 } else { 1e12 };
         }
         let solution = normal.cholesky()?.solve(&right);
-        let (mut rest, mut all) = (0.0, 0.0);
-        for axis in [0, 2] {
-            rest += squares[axis] - solution.column(axis).dot(&right.column(axis));
-            all += squares[axis] - right[(0, axis)].powi(2) / count;
-        }
+        let about = |axis: usize| {
+            [
+                squares[axis] - solution.column(axis).dot(&right.column(axis)),
+                squares[axis] - right[(0, axis)].powi(2) / count,
+            ]
+        };
+        let about = [about(0), about(1), about(2)];
         let slope = |i: usize| moves[i].then(|| solution.row(i + 1).transpose());
         Some(Self {
             rest_g: solution.row(0).transpose(),
             per_newton: [slope(0), slope(1)],
             is_small,
-            explained: 1.0 - rest / all.max(f64::MIN_POSITIVE),
+            squares: [0, 1].map(|of| about.map(|squares| squares[of]).into()),
         })
+    }
+
+    /// The same in the gripper's axes, of a sensor in this orientation.
+    fn turned(self, orientation: SensorOrientation) -> Self {
+        let axes = orientation.sensor_axes().map(|(axis, _)| axis);
+        Self {
+            rest_g: orientation.to_gripper(self.rest_g),
+            per_newton: self.per_newton.map(|slope| Some(orientation.to_gripper(slope?))),
+            squares: self.squares.map(|squares| axes.map(|axis| squares[axis]).into()),
+            ..self
+        }
+    }
+
+    /// Fraction of the variance of the field along x and z that the regression explains.
+    fn explained(&self) -> f64 {
+        let [rest, all] = self.squares.map(|squares| squares.x + squares.z);
+        1.0 - rest / all.max(f64::MIN_POSITIVE)
     }
 
     /// Slopes relative to nominal: `shares[force][axis]`, each of x and z.
@@ -184,14 +345,43 @@ struct Check<'a> {
     rows: &'a SensorRows,
     sensor: u32,
     nominal: &'a ForwardModel,
+    orientation: SensorOrientation,
+    /// In the gripper's axes.
     slopes: Slopes,
 }
 
-impl Check<'_> {
+impl<'a> Check<'a> {
+    /// Of a sensor in this orientation, with the slopes in its own axes.
+    fn new(
+        campaign: &'a Campaign,
+        recording: &'a Recording,
+        rows: &'a SensorRows,
+        nominal: &'a ForwardModel,
+        orientation: SensorOrientation,
+        slopes: &Slopes,
+    ) -> Self {
+        let slopes = slopes.turned(orientation);
+        Self { campaign, recording, rows, sensor: rows.sensor, nominal, orientation, slopes }
+    }
+
+    /// Whether the field at rest and every slope agree with the design, and no forces explain the field better.
+    fn is_plausible(&self) -> bool {
+        let shares = self.slopes.shares(self.nominal);
+        let mut own = (0..2).filter_map(|force| Some(shares[force]?[force]));
+        let is_driven = self.slopes.per_newton.iter().any(Option::is_some);
+        self.rest_field().is_ok()
+            && own.all(|share| (1.0 / SCALE..=SCALE).contains(&share))
+            && !(is_driven && self.slopes.explained() < UNEXPLAINED)
+            && self.followed().is_none()
+    }
+
     fn rest_field(&self) -> Result<(), FitError> {
         let (rest, expected) = (self.slopes.rest_g, self.nominal.field([0.0, 0.0]));
         let strongest = expected.iamax();
-        let columns = |axis: usize| format!("s{}_{}", self.sensor, Axis::ALL[axis].letter());
+        let columns = |axis: usize| {
+            let (axis, _) = self.orientation.sensor_axes()[axis];
+            format!("s{}_{}", self.sensor, Axis::ALL[axis].letter())
+        };
         if rest.iamax() != strongest && rest.amax() > expected.amax() / SCALE {
             return self.hall(
                 &columns(rest.iamax()),
@@ -211,7 +401,7 @@ impl Check<'_> {
             return self.hall(
                 &columns(strongest),
                 format!("the field at rest is {:.0} G and the design gives {:.0} G: its sign is flipped", rest[strongest], expected[strongest]),
-                "multiply the column by -1 (scale = -1 in a mapping), or, if the magnet sits the other way round, give remanence_t the other sign in recording.toml",
+                "multiply the column by -1 (scale = -1 in a mapping)",
             );
         }
         Ok(())
@@ -229,7 +419,7 @@ impl Check<'_> {
                 "the forces of the two places, or the fields of the two sensors, are exchanged; the recordings do not show which: press one finger by hand and see which columns move, then rename those that are wrong",
             );
         }
-        if self.slopes.explained > UNEXPLAINED {
+        if self.slopes.explained() > UNEXPLAINED {
             return Err(error);
         }
         let (_, reference) = self.recording.rows_read;
@@ -278,7 +468,8 @@ impl Check<'_> {
             let axis = ["x", "z"][force];
             // A small force of the right unit is mainly noise, which explains nothing.
             let is_scaled = share > SCALE
-                && (self.slopes.explained > EXPLAINED || !unit_by_mistake(share, axis).is_empty());
+                && (self.slopes.explained() > EXPLAINED
+                    || !unit_by_mistake(share, axis).is_empty());
             if is_small[force] && !is_scaled {
                 continue;
             }
@@ -311,12 +502,17 @@ impl Check<'_> {
     fn followed(&self) -> Option<u32> {
         let places = self.recording.forces.keys().map(|(place, _)| *place);
         places.filter(|place| *place != self.sensor).find(|place| {
-            let slopes = Slopes::of(self.campaign, self.recording, (self.rows, *place), 0);
-            slopes.is_some_and(|slopes| {
-                let better = MUCH_BETTER * (1.0 - slopes.explained) < 1.0 - self.slopes.explained;
-                better && slopes.explained > EXPLAINED
+            self.explained_by(*place, 0).is_some_and(|explained| {
+                let better = MUCH_BETTER * (1.0 - explained) < 1.0 - self.slopes.explained();
+                better && explained > EXPLAINED
             })
         })
+    }
+
+    /// Fraction of the field's variance that the forces at a place explain, each `delay` rows before the field.
+    fn explained_by(&self, place: u32, delay: isize) -> Option<f64> {
+        let slopes = Slopes::of(self.campaign, self.recording, (self.rows, place), delay)?;
+        Some(slopes.turned(self.orientation).explained())
     }
 
     /// Time in seconds by which the forces must be read later to explain the field.
@@ -326,10 +522,7 @@ impl Check<'_> {
         let period_s = (time_s.last()? - time_s.first()?) / rows.saturating_sub(1).max(1) as f64;
         let step = ((DELAY_STEP_S / period_s) as usize).max(1);
         let most = ((1.0 - MIN_OVERLAP) * rows as f64) as isize;
-        let places = (self.rows, self.sensor);
-        let explained = |delay: isize| {
-            Some((Slopes::of(self.campaign, self.recording, places, delay)?.explained, delay))
-        };
+        let explained = |delay: isize| Some((self.explained_by(self.sensor, delay)?, delay));
         let steps = most / step as isize;
         let delays: Vec<isize> = (-steps..=steps).map(|count| count * step as isize).collect();
         let best = delays.into_par_iter().filter_map(explained).max_by(|a, b| a.0.total_cmp(&b.0));
@@ -346,8 +539,7 @@ impl Check<'_> {
     }
 
     fn force(&self, force: usize, what: String, advice: &str) -> Result<(), FitError> {
-        let column = format!("f{}_{}_n", self.sensor, ["x", "z"][force]);
-        Err(self.error("force.csv", column, what, advice))
+        Err(self.error("force.csv", force_column(self.sensor, force), what, advice))
     }
 
     fn error(&self, file: &str, column: String, what: String, advice: &str) -> FitError {

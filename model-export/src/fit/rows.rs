@@ -5,6 +5,7 @@ use nalgebra::Vector3;
 use crate::effects::ExcitationSeries;
 use crate::effects::excitation::LoadCycleCounter;
 use crate::fit::FitError;
+use crate::physics::SensorOrientation;
 use crate::recordings::columns::Axis;
 use crate::recordings::{Campaign, Location, Recording};
 
@@ -16,6 +17,8 @@ const MIN_EXCITATION: f64 = 10.0;
 pub struct SensorRows {
     /// Number of the sensor.
     pub sensor: u32,
+    /// Orientation by which the fields were turned into the gripper's axes.
+    pub orientation: SensorOrientation,
     /// Forces in the order of every row's `force_n`.
     pub forces: Vec<(u32, Axis)>,
     /// One part for each recording, in the campaign's order.
@@ -186,7 +189,14 @@ impl SensorRows {
                 needed,
             });
         }
-        Ok(Self { sensor, forces, parts, stride })
+        Ok(Self { sensor, orientation: SensorOrientation::default(), forces, parts, stride })
+    }
+
+    /// The rows of a sensor, which are in its own axes, in those of the gripper.
+    pub fn turned(mut self, orientation: SensorOrientation) -> Self {
+        self.orientation = orientation;
+        self.parts = self.parts.into_iter().map(|part| part.turned(orientation)).collect();
+        self
     }
 
     /// Rejects a constant field channel, and a force that varies little more than its noise.
@@ -321,6 +331,16 @@ impl RecordingRows {
             force_noise_n: loads.iter().map(|load| load.noise_n).collect(),
             track: ExcitationSeries::new(recording, place, sensor, pair(forces), &usable),
         }
+    }
+
+    /// The rows of a sensor, which are in its own axes, in those of the gripper.
+    pub fn turned(mut self, orientation: SensorOrientation) -> Self {
+        if !orientation.is_nominal() {
+            self.field_g.iter_mut().for_each(|field| *field = orientation.to_gripper(*field));
+            let axes = orientation.sensor_axes().map(|(axis, _)| axis);
+            self.field_noise_g = axes.map(|axis| self.field_noise_g[axis]).into();
+        }
+        self
     }
 
     /// At most `count` evenly spaced rows or all, and, where they are more than 75 ms apart, the turning points of the load.

@@ -13,7 +13,6 @@ use crate::inverse::model_selection::{SelectedModels, select_models};
 use crate::inverse::quantise::TableOverflow;
 use crate::inverse::static_model::{StaticBase, StaticModel};
 use crate::model_file::{ModelFile, SensorModel};
-use crate::physics::ForwardModel;
 use crate::recordings::error::ErrorKind;
 use crate::recordings::recording::hex;
 use crate::recordings::{DataError, Location};
@@ -122,10 +121,8 @@ pub fn build_model(
     let numbers: Vec<u32> = model.sensors.iter().map(|sensor| sensor.number).collect();
     let (mut static_models, mut compensations) = (Vec::new(), Vec::new());
     for &number in &numbers {
-        let base = static_base(&model, number, variant, place)?;
-        let effects = values(&model, &additions, number, recordings, place)?;
-        let rest = StaticModel::new(base, &effects, recordings, model.table_state(number));
-        check_inverse(&rest, number, place)?;
+        let effects = effect_values(&model, &additions, number, recordings, place)?;
+        let rest = static_model(&model, &effects, number, variant, place)?;
         compensations.extend(OwnedCompensation::build(
             number,
             &rest,
@@ -159,6 +156,9 @@ pub fn build_model(
                     overflow: Box::new(overflow),
                 }
             })?;
+        if let Some(mounting) = model.mounting(number) {
+            table.axes = mounting.orientation.axis_map();
+        }
         if variant == ModelVariant::Nominal {
             // The residual of a gripper that was not calibrated is unknown: it must not be taken for a magnet.
             table.parity.sigma = 0;
@@ -204,27 +204,43 @@ pub fn build_model(
     })
 }
 
-/// The base of one sensor that the tables invert.
+/// The model of one sensor with these effects that the tables invert.
+pub(super) fn static_model(
+    model: &ModelFile,
+    effects: &[(EffectTerm, Vec<f64>)],
+    number: u32,
+    variant: ModelVariant,
+    place: &Path,
+) -> Result<StaticModel, BuildError> {
+    let base = static_base(model, number, variant, place)?;
+    let recordings = model.provenance.recordings.len();
+    let rest = StaticModel::new(base, effects, recordings, model.table_state(number));
+    check_inverse(&rest, number, place)?;
+    Ok(rest)
+}
+
 fn static_base(
     model: &ModelFile,
     number: u32,
     variant: ModelVariant,
     place: &Path,
 ) -> Result<StaticBase, BuildError> {
-    let place = || Location::file(place);
-    let Some(design) = &model.design else {
-        if variant == ModelVariant::Nominal {
-            return Err(BuildError::NoNominalDesign { place: place() });
-        }
-        let sensor = model.sensors.iter().find(|sensor| sensor.number == number);
-        let forces = sensor.map_or(0, |sensor| sensor.forces().len());
-        let polynomial = model.force_polynomial(number);
-        let why = Box::new(NotInvertible::ForceCount { sensor: number, forces });
-        let refused = || BuildError::NotInvertible { place: place(), why };
-        return polynomial.map(StaticBase::from).ok_or_else(refused);
+    let forward = match variant {
+        ModelVariant::Fitted => model.forward(number),
+        ModelVariant::Nominal => model.nominal(number),
     };
-    let fitted = (variant == ModelVariant::Fitted).then(|| model.forward(number)).flatten();
-    Ok(fitted.unwrap_or_else(|| ForwardModel::nominal(design)).into())
+    if let Some(forward) = forward {
+        return Ok(forward.into());
+    }
+    let place = Location::file(place);
+    if variant == ModelVariant::Nominal {
+        return Err(BuildError::NoNominalDesign { place });
+    }
+    let sensor = model.sensors.iter().find(|sensor| sensor.number == number);
+    let forces = sensor.map_or(0, |sensor| sensor.forces().len());
+    let why = Box::new(NotInvertible::ForceCount { sensor: number, forces });
+    let polynomial = model.force_polynomial(number);
+    polynomial.map(StaticBase::from).ok_or(BuildError::NotInvertible { place, why })
 }
 
 /// Refuses a field that does not determine the forces.
@@ -256,7 +272,7 @@ fn valid_from(model: &ModelFile, effects: &[EffectTerm]) -> Option<String> {
 }
 
 /// Effects with their values at one sensor.
-fn values(
+pub(super) fn effect_values(
     model: &ModelFile,
     additions: &[EffectTerm],
     number: u32,

@@ -43,7 +43,7 @@ fn tables(built: &DeviceModel) -> String {
             "\n// Numbers as they are printed by the exporter: long lines, and no digit grouped.\n";
         text += "#[rustfmt::skip]\nuse crate::compensation::{*, crosstalk::*, flexure::*, hysteresis::*, lookup_table::*, thermal::*};\n";
     }
-    text += "\nuse crate::model::formats::*;\n\n";
+    text += "\nuse crate::model::axis_map::AxisMap;\nuse crate::model::formats::*;\n\n";
     text += "/// The ideal model of every sensor.\n";
     text += "pub static TABLES: Tables<'static> = Tables {\n";
     let views: Vec<_> = built.compensations.iter().map(|own| own.view()).collect();
@@ -74,8 +74,9 @@ fn compensations(list: &[OwnedCompensation]) -> String {
         let field = view.field.map(|effect| literal(&effect, "FieldEffect"));
         let force = view.force.map(|effect| literal(&effect, "ForceEffect"));
         text += &format!(
-            "    Compensation {{ number: {}, field: [{}], force: [{}] }},\n",
+            "    Compensation {{ number: {}, filters: {}, field: [{}], force: [{}] }},\n",
             view.number,
+            with_covariates(format!("{:?}", view.filters)),
             field.join(", "),
             force.join(", ")
         );
@@ -85,11 +86,14 @@ fn compensations(list: &[OwnedCompensation]) -> String {
 
 /// `Some(Kind::Variant(Table { .. }))` or `None`, with a reference before every slice.
 fn literal(effect: &impl std::fmt::Debug, kind: &str) -> String {
-    format!("{effect:?}")
+    with_covariates(format!("{effect:?}"))
         .replacen("Some(", &format!("Some({kind}::"), 1)
-        .replace("covariate: ", "covariate: Covariate::")
         .replace("knots: [[", "knots: &[[")
         .replace("values: [", "values: &[")
+}
+
+fn with_covariates(text: String) -> String {
+    text.replace("covariate: ", "covariate: Covariate::")
 }
 
 fn comment(chosen: &SelectedModels, header: &ExportHeader) -> String {
@@ -150,11 +154,12 @@ fn sensor(table: &SensorTable, number: u32) -> String {
     let used = usize::from(table.used_pairs).min(table.pairs.len());
     let pairs: String = table.pairs[..used].iter().map(pair).collect();
     format!(
-        "    // Sensor {number}.\n    SensorTable {{\n        number: {number},\n        scale: [\n            {},\n        ],\n        \
+        "    // Sensor {number}.\n    SensorTable {{\n        number: {number},\n        axes: AxisMap(0o{:03o}),\n        scale: [\n            {},\n        ],\n        \
          limit_counts: {},\n        linear: Linear {{\n            bias: {},\n            slope: [{}, {}],\n        }},\n        \
          pairs: padded([\n{pairs}        ]),\n        used_pairs: {},\n        shift: {},\n        \
          parity: Parity {{\n            axis: {},\n            // Powers from the highest down, as `parity.rs` reads them.\n            \
          terms: {},\n            sigma: {},\n        }},\n    }},\n",
+        table.axes.0,
         scale.join(",\n            "),
         table.limit_counts,
         list(&table.linear.bias),

@@ -23,7 +23,7 @@ pub const MAX_CENTRES_ACROSS: usize = 8;
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GrbfShape {
-    /// Centres are the fields of a lattice of this many loads along each axis ([`ForceRegion::centres`]); none: linear.
+    /// Centres are the fields of a lattice of this many loads along each axis ([`StaticModel::centre_fields`]); none: linear.
     pub centres_across: usize,
     /// Width: exp(-gamma d^2) over coordinates of -1 to 1.
     pub gamma: f64,

@@ -3,6 +3,7 @@
 use firmware::compensation::Compensation;
 use firmware::estimator::ideal;
 use firmware::fixed_point::{Field, Force};
+use firmware::model::axis_map::AxisMap;
 use firmware::model::formats::{
     AxisScale, COORDINATE_LIMIT, CentrePair, EXP_ENTRIES, Linear, MOST_PAIRS, Parity, SLOPE_BITS,
     SensorTable, Tables,
@@ -153,6 +154,7 @@ fn sensor_table(
     let number = row.fit(|| "number".to_owned(), f64::from(row.sensor), 255.0, too_many)?;
     Ok(SensorTable {
         number: number as u8,
+        axes: AxisMap::NOMINAL,
         scale: axes,
         limit_counts: limit_counts as i16,
         linear: linear(row, model)?,

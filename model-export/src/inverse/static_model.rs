@@ -10,7 +10,7 @@ use crate::recordings::columns::Axis;
 use firmware::config::constants;
 use firmware::fixed_point::Field;
 use firmware::model::formats::COORDINATE_LIMIT;
-use nalgebra::{Matrix3, Rotation3, Vector3};
+use nalgebra::{Rotation3, Vector3};
 
 /// Half the step of numerical derivatives, relative to the force range.
 const STEP: f64 = 0.002;
@@ -261,12 +261,8 @@ impl StaticModel {
         self.linearised(force_n).1
     }
 
-    /// dB/dd in G/mm under these forces; of a polynomial in G/N.
-    pub fn per_mm(&self, force_n: [f64; 2]) -> Matrix3<f64> {
-        self.response(force_n).per_mm
-    }
-
-    fn response(&self, force_n: [f64; 2]) -> FieldResponse {
+    /// Reading and derivatives under these forces; of a polynomial the forces are displacements.
+    pub fn response(&self, force_n: [f64; 2]) -> FieldResponse {
         let state = self.state(force_n);
         match &self.base {
             StaticBase::Cylinder(model, frames) => model.response_at(frames, &state),

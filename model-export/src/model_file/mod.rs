@@ -20,7 +20,7 @@ use crate::inverse::codegen;
 use crate::inverse::grbf::{GrbfShape, MAX_CENTRES_ACROSS};
 use crate::inverse::static_model::ForcePolynomial;
 use crate::output::write_output;
-use crate::physics::ForwardModel;
+use crate::physics::{ForwardModel, SensorMounting};
 use crate::recordings::description::{NominalDesign, parse_toml};
 use crate::recordings::error::ErrorKind;
 use crate::recordings::recording::recording_name;
@@ -156,7 +156,9 @@ impl ModelFile {
         options: FitOptions,
     ) -> Result<FitSetup, FitError> {
         match self.base {
-            BaseKind::Cylinder => FitSetup::cylinder(campaign),
+            BaseKind::Cylinder => {
+                FitSetup::cylinder_mounted(campaign, |number| self.mounting(number))
+            }
             BaseKind::Polynomial => FitSetup::polynomial(campaign, self.degree(), options),
         }
     }
@@ -286,6 +288,13 @@ impl ModelFile {
                         "repeat the fit",
                     );
                 }
+                if !sensor.orientation.is_nominal() {
+                    return bad(
+                        key("orientation"),
+                        sensor.orientation.to_string(),
+                        "remove it: a polynomial is of the sensor's own axes",
+                    );
+                }
                 continue;
             }
             for parameter in &PARAMETERS {
@@ -357,9 +366,24 @@ impl ModelFile {
         self.sensors.iter().all(|sensor| self.force_polynomial(sensor.number).is_some())
     }
 
+    /// Mounting of a sensor; `None` for an unknown one. Its magnet is reversed where remanence and design differ in sign.
+    pub fn mounting(&self, number: u32) -> Option<SensorMounting> {
+        let sensor = self.sensors.iter().find(|sensor| sensor.number == number)?;
+        let design = self.design.as_ref().map(|design| design.magnet.remanence_t);
+        let fitted = sensor.parameters.get("remanence").map(|fitted| fitted.value);
+        let is_reversed = design.zip(fitted).is_some_and(|(design, fitted)| design * fitted < 0.0);
+        Some(SensorMounting { orientation: sensor.orientation, is_reversed })
+    }
+
+    /// The nominal design with the polarity of one sensor; `None` for a polynomial or an unknown sensor.
+    pub fn nominal(&self, number: u32) -> Option<ForwardModel> {
+        let nominal = ForwardModel::nominal(self.design.as_ref()?);
+        Some(self.mounting(number)?.nominal(&nominal))
+    }
+
     /// The forward model of one sensor; `None` for a polynomial or an unknown sensor.
     pub fn forward(&self, number: u32) -> Option<ForwardModel> {
-        let nominal = ForwardModel::nominal(self.design.as_ref()?);
+        let nominal = self.nominal(number)?;
         let sensor = self.sensors.iter().find(|sensor| sensor.number == number)?;
         let mut values = parameters::values(&nominal);
         for (value, parameter) in values.iter_mut().zip(&PARAMETERS) {

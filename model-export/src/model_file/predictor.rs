@@ -11,7 +11,7 @@ use crate::fit::parameters::{self, PARAMETERS};
 use crate::fit::polynomial::Polynomial;
 use crate::fit::rows::RecordingRows;
 use crate::model_file::{BaseKind as BaseName, EffectModel, ModelFile};
-use crate::physics::{ForwardModel, PhysicalState};
+use crate::physics::PhysicalState;
 use crate::recordings::columns::Axis;
 
 /// Forward model of one sensor with its effects.
@@ -59,7 +59,7 @@ impl ModelFile {
         let tables = GripperState::over(&at, &effects).and_then(|states| states.first().copied());
         let base = match self.base {
             BaseName::Cylinder => {
-                let nominal = ForwardModel::nominal(self.design.as_ref()?);
+                let nominal = self.nominal(number)?;
                 let value = |name: &str| Some(sensor.parameters.get(name)?.value);
                 PredictorBase::FromState {
                     base: Box::new(CylinderBase { nominal }),

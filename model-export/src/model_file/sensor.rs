@@ -12,6 +12,7 @@ use crate::fit::polynomial::{Polynomial, PolynomialFit};
 use crate::fit::rows::{ForcePair, own_forces, pair};
 use crate::input::MAX_POLYNOMIAL_TERMS;
 use crate::model_file::digits;
+use crate::physics::SensorOrientation;
 use crate::recordings::columns::{Axis, ForceColumn, force_column};
 
 /// Model of one sensor.
@@ -19,6 +20,9 @@ use crate::recordings::columns::{Axis, ForceColumn, force_column};
 pub struct SensorModel {
     /// Index of the sensor.
     pub number: u32,
+    /// Orientation of the sensor; nominal where it is absent. All else is in the gripper's axes.
+    #[serde(default, skip_serializing_if = "SensorOrientation::is_nominal")]
+    pub orientation: SensorOrientation,
     /// Held-out error of each axis.
     pub held_out: Vec<HeldOutError>,
     /// With the cylinder base: RMS of the residual that no force explains on held-out recordings in gauss;
@@ -118,6 +122,7 @@ impl SensorModel {
             };
         Self {
             number: fit.sensor,
+            orientation: fit.orientation,
             held_out: fit.scores.iter().map(HeldOutError::of).collect(),
             parity_residual_g: fit.tally().parity_residual_g().map(digits),
             parameters: (0..fit.base_count)
@@ -158,6 +163,7 @@ impl SensorModel {
         let model = &fit.model;
         Self {
             number: fit.sensor,
+            orientation: SensorOrientation::default(),
             held_out: fit.scores.iter().map(HeldOutError::of).collect(),
             parity_residual_g: None,
             parameters: BTreeMap::new(),

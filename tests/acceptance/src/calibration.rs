@@ -11,6 +11,7 @@ use rayon::iter::{IntoParallelRefIterator, ParallelIterator};
 use sim::closed_loop::bench::BenchSetup;
 use sim::closed_loop::emulated_board::ChipConditions;
 use sim::effects::Effect;
+use sim::mountings::Mountings;
 use tests::image::compile;
 
 use crate::results::{Section, markdown_table, seeds_text};
@@ -188,6 +189,7 @@ fn run(
         seed,
         excitation_seed: 2 * seed,
         scatter: 1.0,
+        mountings: Mountings::default(),
         effects,
         recordings: 3,
         seconds,

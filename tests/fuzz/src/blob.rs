@@ -11,7 +11,9 @@ use firmware::compensation::flexure::{
     CreepTable, FingertipMassTable, HardStopTable, ViscousLagTable,
 };
 use firmware::compensation::hysteresis::{HysteresisTable, Slider};
-use firmware::compensation::lookup_table::{Covariate, LookupAxis, LookupTable};
+use firmware::compensation::lookup_table::{
+    Covariate, CovariateFilter, FieldMap, ForceMap, LookupAxis, LookupTable,
+};
 use firmware::compensation::thermal::{
     MagnetTemperatureTable, SensorTemperatureTable, ThermalGapTable,
 };
@@ -404,11 +406,16 @@ fn network(sensor: usize) -> LoadableNetwork {
 /// All effects, in two halves.
 fn compensation<'a>(number: u8, knots: &'a [[i32; 3]], values: &'a [i32]) -> Compensation<'a> {
     let side = |covariate, knots| Some(LookupAxis { covariate, from: -100, step: 50, knots });
-    let map = |covariate| LookupTable { sides: [side(covariate, 12), None], values };
-    let map_of_two = LookupTable {
-        sides: [side(Covariate::Opening, 4), side(Covariate::Temperature, 3)],
+    let over_force = LookupTable { sides: [side(Covariate::Force(0), 12), None, None], values };
+    let over_three = LookupTable {
+        sides: [
+            side(Covariate::Opening, 2),
+            side(Covariate::Lagged(0), 3),
+            side(Covariate::Rate(1), 2),
+        ],
         values,
     };
+    let filter = |covariate| Some(CovariateFilter { covariate, gain: 1 << 26 });
     let rows = [[20, -30, 40], [5, 6, -7], [-80, 9, 10]];
     let slider = Slider { reach: 900, share: 20_000 };
     let fields = [
@@ -416,7 +423,7 @@ fn compensation<'a>(number: u8, knots: &'a [[i32; 3]], values: &'a [i32]) -> Com
         FieldEffect::MotorLeakage(MotorLeakageTable { per_ma: rows }),
         FieldEffect::EarthField(EarthFieldTable { world: [40, 50, -60], element: rows }),
         FieldEffect::NeighbourMagnet(NeighbourMagnetTable { knots }),
-        FieldEffect::Map([map(Covariate::Opening), map(Covariate::MotorIq), map_of_two]),
+        FieldEffect::Map(FieldMap { table: over_force, along: [20_000, -400, 300], matrix: rows }),
         FieldEffect::MagnetTemperature(MagnetTemperatureTable {
             without: [100, 200, -300],
             per_count: 4000,
@@ -433,11 +440,12 @@ fn compensation<'a>(number: u8, knots: &'a [[i32; 3]], values: &'a [i32]) -> Com
         ForceEffect::HardStop(HardStopTable { knee: [90_000; 2], beyond: [[30_000, 40_000]; 2] }),
         ForceEffect::Hysteresis(HysteresisTable { sliders: [[slider; 3]; 2] }),
         ForceEffect::FingertipMass(FingertipMassTable { mass: 40_000 }),
-        ForceEffect::Map([map(Covariate::MotorAngle), map(Covariate::Acceleration(2))]),
+        ForceEffect::Map(ForceMap { table: over_three, along: [70_000, -90_000] }),
     ];
     let half = usize::from(number & 1);
     Compensation {
         number,
+        filters: [filter(Covariate::Temperature), filter(Covariate::Force(1)), None, None],
         field: std::array::from_fn(|at| fields.get(at + 3 * half).copied()),
         force: std::array::from_fn(|at| forces.get(at + 2 * half).copied()),
     }

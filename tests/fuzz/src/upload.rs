@@ -23,6 +23,8 @@ const STEPS: u32 = 24;
 const NODE: u16 = 5;
 const KEY: [u8; 16] = *b"sixteen byte key";
 const HEADER_BYTES: usize = 16;
+/// Version of the encoding of a calibration.
+const FORMAT: u32 = 2;
 /// Marks at the start of a slot: sequence and constant, twice.
 const MARKS: [[u8; 4]; 2] = [*b"cal1", *b"cal2"];
 
@@ -332,7 +334,7 @@ pub(super) fn is_valid(bytes: &[u8]) -> bool {
     let Some((header, payload)) = bytes.split_at_checked(HEADER_BYTES) else { return false };
     let number = |at: usize| u32::from_le_bytes([0, 1, 2, 3].map(|byte| header[at + byte]));
     header[..4] == *b"MGPC"
-        && number(4) == 1
+        && number(4) == FORMAT
         && number(8) as usize == payload.len()
         && number(12) == crc32(payload)
 }
@@ -364,7 +366,7 @@ fn calibration(bytes: &mut Bytes) -> Vec<u8> {
 /// Header and payload.
 pub(super) fn encoded(payload: &[u8]) -> Vec<u8> {
     let mut all = b"MGPC".to_vec();
-    for number in [1, payload.len() as u32, crc32(payload)] {
+    for number in [FORMAT, payload.len() as u32, crc32(payload)] {
         all.extend_from_slice(&number.to_le_bytes());
     }
     all.extend_from_slice(payload);

@@ -10,7 +10,7 @@ use model_export::effects::{EffectTerm, ExcitationSeries};
 use model_export::fit::campaign::FitSetup;
 use model_export::fit::joint::JointFit;
 use model_export::fit::{FitError, FitOptions};
-use model_export::model_file::{ModelFile, Provenance};
+use model_export::model_file::{ModelFile, Provenance, RowCorrection};
 use model_export::recordings::Campaign;
 use std::path::Path;
 
@@ -74,9 +74,17 @@ impl FoldModel {
         let of_sensor = |(sensor, series): &(u32, ExcitationSeries)| {
             let series = ExcitationSeries { recording: place, ..series.clone() };
             let predictor = self.model.predictor(*sensor, &self.additions)?;
+            let own = self.model.sensors.iter().find(|own| own.number == *sensor)?;
+            // Readings are in the sensor's axes.
+            let turned = |row: RowCorrection| RowCorrection {
+                reading: (row.reading.0, own.orientation.to_sensor(row.reading.1)),
+                irreducible_g: own.orientation.to_sensor(row.irreducible_g),
+                ..row
+            };
+            let rows = predictor.corrections(&series, is_new)?;
             Some(SensorCorrections {
                 sensor: *sensor,
-                rows: predictor.corrections(&series, is_new)?,
+                rows: rows.into_iter().map(turned).collect(),
                 time_s: series.time_s.iter().map(|time_s| time_s + clock_s).collect(),
             })
         };

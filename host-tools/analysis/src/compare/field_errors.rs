@@ -13,6 +13,7 @@ use model_export::effects::excitation::LoadCycleCounter;
 use model_export::fit::cross_validation::noise_variance;
 use model_export::fit::rows::{RecordingRows, check_forces};
 use model_export::model_file::{FieldPrediction, ModelFile};
+use model_export::physics::SensorOrientation;
 use model_export::physics::sensor::force_per_field;
 use model_export::recordings::columns::Axis;
 use model_export::recordings::{Campaign, DataError, Notice, Recording};
@@ -29,6 +30,8 @@ const POINTS: usize = 400_000;
 pub struct SensorEvaluation {
     /// Number of the sensor.
     pub sensor: u32,
+    /// Its orientation.
+    orientation: SensorOrientation,
     /// Forces that its model depends on.
     pub forces: Vec<(u32, Axis)>,
     /// Errors of each axis in gauss.
@@ -129,6 +132,7 @@ fn sensors(
         if recording.sensors.contains_key(&number) && has_forces {
             list.push(SensorEvaluation {
                 sensor: number,
+                orientation: sensor.orientation,
                 forces,
                 errors: Default::default(),
                 floor: [Vector3::zeros(); 3],
@@ -211,7 +215,8 @@ impl SensorEvaluation {
         recording: &Recording,
         place: (usize, f64),
     ) -> Option<(Modelled, RecordingRows)> {
-        let mut part = RecordingRows::of(recording, place, self.sensor, &self.forces)?;
+        let part = RecordingRows::of(recording, place, self.sensor, &self.forces)?;
+        let mut part = part.turned(self.orientation);
         self.cycles.update(&mut part.track);
         let rows = part.len();
         let mut modelled = Modelled {

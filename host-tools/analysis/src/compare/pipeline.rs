@@ -139,7 +139,7 @@ pub(crate) fn model_findings(
             let predictor = model.predictor(sensor.number, additions)?;
             // Hypotheses on the force columns are of pairs.
             let rows = SensorRows::with_own_forces(&campaign, sensor.number).ok()?;
-            (rows.forces.len() == 2).then_some((rows, predictor))
+            (rows.forces.len() == 2).then(|| (rows.turned(sensor.orientation), predictor))
         });
         let rows: Vec<(SensorRows, Predictor)> = rows.collect();
         let place_of = |recording: usize| {

@@ -243,8 +243,13 @@ mod tests {
             force_noise_n: vec![0.0],
             track: Default::default(),
         };
-        let rows =
-            SensorRows { sensor: 0, forces: vec![(0, Axis::Z)], parts: vec![part], stride: 1 };
+        let rows = SensorRows {
+            sensor: 0,
+            orientation: Default::default(),
+            forces: vec![(0, Axis::Z)],
+            parts: vec![part],
+            stride: 1,
+        };
         let model = polynomial::fit(&rows, Some(degree), FitOptions::default()).unwrap().model;
         let mut groups: Vec<(f64, Vec<f64>)> = Vec::new();
         for (load, y) in PONTIUS {

@@ -45,7 +45,6 @@ pub fn forward_selection(
             prepared.split(present),
             options,
         )?],
-        resolved: None,
         last: Vec::new(),
         attributed: Vec::new(),
         collinearity: Collinearity::of(prepared),
@@ -309,9 +308,9 @@ fn resolve_step(
     };
     let effects_of = |list: Vec<Alternative>| list.into_iter().map(|one| one.effect);
     step.shadows.extend(effects_of(worse));
-    let (best, is_on_all_rows) = if tied.is_empty() {
+    let best = if tied.is_empty() {
         step.tied.clear();
-        (best, false)
+        best
     } else {
         let close: Vec<Alternative> = std::iter::once(best).chain(tied).collect();
         // Transient effects require cross-validation within recordings for the whole set.
@@ -329,7 +328,7 @@ fn resolve_step(
         };
         step.tied = effects_of(tied).collect();
         step.shadows.extend(effects_of(worse));
-        (best, true)
+        best
     };
     if best.effect != step.chosen {
         step.chosen = best.effect;
@@ -337,9 +336,6 @@ fn resolve_step(
         let own = prepared.split(&effects);
         selection.stages.pop();
         selection.stages.push(FittedModel::new(prepared, effects, own, options)?);
-    }
-    if is_on_all_rows {
-        selection.resolved = Some(best.model);
     }
     Ok(())
 }

@@ -37,7 +37,8 @@ use model_export::effects::{EffectTerm, find};
 use model_export::fit::FitOptions;
 use model_export::fit::campaign::SEARCH_ROWS;
 use model_export::fit::joint::JointFit;
-use model_export::model_file::{EffectModel, ModelFile};
+use model_export::inverse::compensation::{DeviceSupport, device_support};
+use model_export::model_file::{EffectModel, ModelFile, Provenance};
 use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
 use serde::Serialize;
@@ -79,6 +80,8 @@ pub struct Diagnosis {
     pub formulas: Vec<DiscoveredFormula>,
     /// Formulas that explain as much as the accepted effects together.
     pub equivalent_formulas: Vec<DiscoveredFormula>,
+    /// Whether the device compensates the accepted effects, those equivalent to them, and the formulas.
+    pub device: Vec<DeviceSupport>,
     /// Residual structure that no effect explains, largest share first.
     pub unexplained: Vec<Unexplained>,
     /// What of the residual follows no covariate; none at the noise floor.
@@ -328,6 +331,15 @@ pub fn diagnose(
             let recordings = campaign.recordings.len();
             EffectOrigin::of(&EffectModel::all_of(&last.fit, &last.effects, recordings))
         });
+    }
+    if let Some(last) = selection.stages.last() {
+        let provenance = Provenance::of(campaign, alignment.delay_us, options)?;
+        let found =
+            ModelFile::with_effects(campaign, &prepared, &last.fit, &last.effects, provenance);
+        diagnosis.device = device_support(&found, &last.effects);
+        let tied = selection.steps.iter().flat_map(|step| &step.tied);
+        let of_formulas = diagnosis.equivalent_formulas.iter().flat_map(|of| &of.effects);
+        diagnosis.device.extend(tied.chain(of_formulas).map(DeviceSupport::of));
     }
     if let Some(last) = selection.stages.last().filter(|_| !diagnosis.at_floor) {
         let located = selection.attributed.iter().map(|(_, share)| share).sum();

@@ -50,8 +50,6 @@ pub struct Selection {
     pub unconfirmed: Vec<AcceptedStep>,
     /// Models from the first to the last step.
     pub stages: Vec<FittedModel>,
-    /// The last model fitted to all rows, where that separated equivalent effects.
-    pub resolved: Option<FittedModel>,
     /// Score tests of all candidates on the last model.
     pub last: Vec<ScreenedEffect>,
     /// Covariates that explain the residual, with their shares.
@@ -79,23 +77,15 @@ impl Selection {
         *last <= AT_FLOOR || (*last <= COMPLETE && is_explained)
     }
 
-    /// Fits every model again, to the rows of `setup`: the first as any other command fits it, the others from their fits to the
-    /// sample.
+    /// Fits every model again, to the rows of `setup`, as any other command fits it: the errors are those of the models that `add`
+    /// writes.
     ///
     /// # Errors
     /// A fit fails.
     pub fn refit(&mut self, setup: &FitSetup, options: FitOptions) -> Result<()> {
-        for (place, stage) in self.stages.iter_mut().enumerate() {
-            let (effects, split) = (&stage.effects, stage.fit.split);
-            let is_same =
-                |known: &FittedModel| known.effects == *effects && known.fit.split == split;
-            *stage = if place == 0 {
-                FittedModel::new(setup, effects.clone(), split, options)?
-            } else if let Some(known) = self.resolved.take_if(|known| is_same(known)) {
-                known
-            } else {
-                stage.on(setup, split, options)?
-            };
+        for stage in &mut self.stages {
+            let (effects, split) = (stage.effects.clone(), stage.fit.split);
+            *stage = FittedModel::new(setup, effects, split, options)?;
         }
         Ok(())
     }

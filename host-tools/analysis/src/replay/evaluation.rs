@@ -78,13 +78,16 @@ pub fn evaluate(
     let scale = file.sensor_scale;
     let mut notes = differences(&folders, &file, alignment)?;
     notes.extend(uncompensated);
-    let linear = TableSet::build(
+    let mut linear = TableSet::build(
         fitted.tables.id,
         &fitted.linear,
         &header.sensors,
         scale.gauss_per_lsb,
         scale.range_gauss,
     )?;
+    for (linear, fitted) in linear.sensors.iter_mut().zip(&fitted.tables.sensors) {
+        linear.axes = fitted.axes;
+    }
     let fold = [FoldModel { additions: file.effect_terms(model)?, model: file.clone() }];
     let counts_events = has_event(&fold);
     let variant = |tables, float, compensations, networks| ReplayInput {

@@ -9,9 +9,11 @@ use analysis::diagnose::{
 };
 use analysis::numbers::{self, field};
 use anstyle::Style;
-use model_export::effects::find;
+use model_export::effects::{EffectTerm, find};
+use model_export::inverse::compensation::DeviceSupport;
 use serde_json::{Value, json};
 
+use crate::text::causes::causes_sentence;
 use crate::text::comparison::{data_findings, dependence, stopped_verdict};
 use crate::text::recording_plan::{self, format_proposal};
 use crate::text::terminal::{self, GOOD, HEADING, NARROW_WIDTH, WARNING};
@@ -226,9 +228,28 @@ fn accepted_effects(diagnosis: &Diagnosis) -> String {
         page += &paragraph(&format!("  {}", physics(verdict)));
         let similar = [similar_effects(verdict), beyond_polynomial(diagnosis, verdict)].join(" ");
         let evidence = format!("  {} {}", reason_sentence(verdict), similar.trim());
-        page += &paragraph(&format!("{}\n", evidence.trim_end()));
+        page += &paragraph(evidence.trim_end());
+        page += &device_line(&runs_on_device(diagnosis, &[&verdict.effect]));
+        page.push('\n');
     }
     page
+}
+
+/// A sentence on the device as a line; nothing without one.
+fn device_line(sentence: &str) -> String {
+    if sentence.is_empty() { String::new() } else { paragraph(&format!("  {sentence}")) }
+}
+
+/// Whether the device compensates these effects, which act together; `None` if it is unknown.
+fn of_device<'d>(diagnosis: &'d Diagnosis, effects: &[&str]) -> Option<&'d DeviceSupport> {
+    let known = || diagnosis.device.iter().filter(|of| effects.contains(&of.effect.as_str()));
+    known().find(|of| of.runs == Some(false)).or_else(|| known().next())
+}
+
+/// "Runs on the device: yes, after homing." of these effects, which act together; empty if it is unknown.
+pub fn runs_on_device(diagnosis: &Diagnosis, effects: &[&str]) -> String {
+    let support = of_device(diagnosis, effects);
+    support.map_or_else(String::new, |support| format!("Runs on the device: {support}."))
 }
 
 /// Minimum share of a pattern that is mentioned.
@@ -272,6 +293,7 @@ fn discovered_formulas(diagnosis: &Diagnosis) -> String {
         }
         page += &paragraph(&format!("  {}", formula_evidence(diagnosis, formula)));
         page += &paragraph(&format!("  {}", formula_alternatives(formula)));
+        page += &device_line(&formula_on_device(diagnosis, formula));
         let numbers = formula.models.iter().flat_map(|model| &model.sensors);
         let mut numbers: Vec<u32> = numbers.map(|sensor| sensor.number).collect();
         numbers.sort_unstable();
@@ -296,12 +318,23 @@ pub fn formula_heading(diagnosis: &Diagnosis, formula: &DiscoveredFormula) -> St
 /// What a formula explains.
 pub fn formula_evidence(diagnosis: &Diagnosis, formula: &DiscoveredFormula) -> String {
     let floors = formula_floors(diagnosis, formula);
-    format!(
-        "No effect of the catalogue explains as much with as few coefficients. It {} (family-wise p {:.3}), to {floors:.2} times the noise floor. It is a \
-         formula, not a cause: find what moves with it.",
+    let evidence = format!(
+        "No effect of the catalogue explains as much with as few coefficients. It {} (family-wise p {:.3}), to {floors:.2} times the \
+         noise floor. A formula is not a cause. {}",
         reduction(formula.gain),
-        formula.p_value
-    )
+        formula.p_value,
+        causes_sentence(&formula.covariates)
+    );
+    evidence.trim_end().to_owned()
+}
+
+/// [`runs_on_device`] of a formula.
+pub fn formula_on_device(diagnosis: &Diagnosis, formula: &DiscoveredFormula) -> String {
+    runs_on_device(diagnosis, &effect_names(formula))
+}
+
+fn effect_names(formula: &DiscoveredFormula) -> Vec<&str> {
+    formula.effects.iter().map(EffectTerm::name).collect()
 }
 
 /// Where else the same function can act.
@@ -480,7 +513,7 @@ pub fn to_json(diagnosis: &Diagnosis) -> Value {
         "model": diagnosis.model,
         "campaign": diagnosis.campaign,
         "findings": findings.collect::<Vec<_>>(),
-        "verdicts": diagnosis.verdicts.iter().map(verdict_json).collect::<Vec<_>>(),
+        "verdicts": diagnosis.verdicts.iter().map(|one| verdict_json(diagnosis, one)).collect::<Vec<_>>(),
         "accepted": accepted_of_catalogue(diagnosis),
         "formulas": diagnosis.formulas.iter().map(|one| formula_json(diagnosis, one)).collect::<Vec<_>>(),
         "equivalent_formulas": diagnosis.equivalent_formulas.iter().map(|one| formula_json(diagnosis, one)).collect::<Vec<_>>(),
@@ -529,10 +562,11 @@ fn formula_json(diagnosis: &Diagnosis, formula: &DiscoveredFormula) -> Value {
         "p_value": formula.p_value,
         "floors_after": formula_floors(diagnosis, formula),
         "effects": formula.models,
+        "device": of_device(diagnosis, &effect_names(formula)),
     })
 }
 
-fn verdict_json(verdict: &Verdict) -> Value {
+fn verdict_json(diagnosis: &Diagnosis, verdict: &Verdict) -> Value {
     json!({
         "effect": verdict.effect,
         "verdict": verdict.kind.id(),
@@ -547,6 +581,7 @@ fn verdict_json(verdict: &Verdict) -> Value {
         "z_typical": verdict.z_typical,
         "reason": reason(verdict),
         "record": verdict.record,
+        "device": of_device(diagnosis, &[&verdict.effect]),
     })
 }
 

@@ -207,11 +207,11 @@ fn force_origins(edit: &ModelEdit) -> Vec<String> {
     edit.force.map_or_else(Vec::new, |[_, after]| force_error::origins(&after, &origins))
 }
 
-/// The force error before and after, and the effects that the device does not compensate.
+/// The force error before and after, and whether the device compensates the effects.
 fn force_sentence(edit: &ModelEdit) -> String {
-    let uncompensated = edit.uncompensated.iter().map(notes::uncompensated);
+    let device = edit.device.iter().map(notes::device_support);
     let lines = edit.force.iter().map(|[before, after]| force_error::change(before, after));
-    let lines = lines.chain(force_origins(edit)).chain(uncompensated);
+    let lines = lines.chain(force_origins(edit)).chain(device);
     lines.map(|line| terminal::paragraph(&line)).collect()
 }
 
@@ -347,6 +347,7 @@ pub fn to_json(edit: &ModelEdit) -> Value {
         "effects": effects.collect::<Vec<_>>(),
         "force": edit.force.map(|[before, after]| json!({ "before": before, "after": after })),
         "force_origins": force_origins(edit),
+        "device": edit.device,
         "uncompensated": edit.uncompensated.iter().map(notes::uncompensated).collect::<Vec<_>>(),
         "verdict": verdict(edit),
         "notices": notes::texts(&edit.notes),

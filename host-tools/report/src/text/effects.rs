@@ -23,7 +23,7 @@ pub fn catalogue_table() -> String {
     }
     let legend = terminal::paragraph(
         "compensated: tables, by the tables of the ideal model; device, by a compensation on the device; settled, the tables \
-         are those of the final state; bench, an error of the test bench, which the device does not have; no, the error stays.",
+         hold the state at the end of the campaign; bench, an error of the test bench, which the device does not have; no, the error stays.",
     );
     format!(
         "{table}\n{legend}`cargo magpie effects NAME` describes one; `cargo magpie add MODEL CAMPAIGN NAME` adds it to a model.\n"
@@ -43,7 +43,8 @@ fn compensation(effect: &Effect) -> String {
         }
         DeviceForm::Tables => "on the device, by the tables of the ideal model.".to_owned(),
         DeviceForm::Settled => {
-            "not over time; the device's tables are those of the final state.".to_owned()
+            "not over time; the device's tables hold the state at the end of the campaign."
+                .to_owned()
         }
         DeviceForm::Bench { remedy, .. } => {
             format!("not needed on the device: it is an error of the test bench; {remedy}.")

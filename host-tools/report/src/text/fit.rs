@@ -64,8 +64,8 @@ pub fn parameters(model: &ModelFile) -> String {
     let Some(design) = &model.design else {
         return String::new();
     };
-    let nominal = ForwardModel::nominal(design);
-    let (nominals, tolerances) = (values(&nominal), tolerances(&nominal));
+    let design = ForwardModel::nominal(design);
+    let (nominals, tolerances) = (values(&design), tolerances(&design));
     let mut text = "Fitted parameters ± one standard deviation, nominal design and tolerance (assumed manufacturing\n\
                     scatter). ?: standard error above half a tolerance. !: over 3 tolerances off, check the design.\n"
         .to_owned();
@@ -78,8 +78,9 @@ pub fn parameters(model: &ModelFile) -> String {
                 let value = sensor.parameters.get(parameter.name);
                 value.map_or_else(String::new, |value| {
                     let text = numbers::with_error(value.value, value.std_error, tolerances[i]);
-                    let far =
-                        (value.value - nominals[i]).abs() > OUTLIER_TOLERANCES * tolerances[i];
+                    let nominal = model.nominal(sensor.number).unwrap_or(design);
+                    let far = (value.value - values(&nominal)[i]).abs()
+                        > OUTLIER_TOLERANCES * tolerances[i];
                     text + match (value.identifiable, far) {
                         (false, _) => "?",
                         (true, true) => "!",

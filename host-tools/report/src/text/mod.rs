@@ -4,6 +4,7 @@ use analysis::statistics::Moments;
 
 pub mod benchmark;
 pub mod calibration;
+pub mod causes;
 pub mod comparison;
 pub mod design;
 pub mod design_search;

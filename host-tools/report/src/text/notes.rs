@@ -1,6 +1,7 @@
 //! Text of notes: one sentence for each.
 
 use analysis::notes::{Note, UncompensatedEffect};
+use model_export::inverse::compensation::DeviceSupport;
 
 use crate::text::comparison::missing_forces;
 use crate::text::findings;
@@ -80,6 +81,11 @@ pub fn text(note: &Note) -> String {
 /// All notes as sentences, for JSON.
 pub fn texts(notes: &[Note]) -> Vec<String> {
     notes.iter().map(text).collect()
+}
+
+/// Whether the device compensates an effect.
+pub fn device_support(support: &DeviceSupport) -> String {
+    format!("{} runs on the device: {support}.", support.effect)
 }
 
 /// An effect without compensation, and the reason.

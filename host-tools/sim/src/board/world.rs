@@ -12,7 +12,7 @@ use firmware::sensors::hall::{HallReading, SENSORS};
 use firmware::tasks::FIRST_TICK_US;
 use model_export::inverse::build::DeviceModel;
 use model_export::model_file::ModelFile;
-use model_export::physics::ForwardModel;
+use model_export::physics::{ForwardModel, SensorOrientation};
 use model_export::recordings::error::DataError;
 use model_export::recordings::stream::RawStream;
 use nalgebra::Vector3;
@@ -144,7 +144,8 @@ impl WorldClock {
 
 /// Known forces on a fitted gripper: fields of its forward model, with sensor noise.
 pub struct PressedWorld {
-    forward: [Option<ForwardModel>; SENSORS],
+    /// Model and orientation of each sensor.
+    sensors: [Option<(ForwardModel, SensorOrientation)>; SENSORS],
     gauss_per_lsb: f64,
     forces_n: Box<dyn FnMut(f64) -> SensorForces>,
     noise: Normal<f64>,
@@ -162,7 +163,8 @@ impl PressedWorld {
     ) -> Self {
         let numbers = [0, 1, 2, 3];
         Self {
-            forward: numbers.map(|number| model.forward(number)),
+            sensors: numbers
+                .map(|number| Some((model.forward(number)?, model.mounting(number)?.orientation))),
             gauss_per_lsb: model.sensor_scale.gauss_per_lsb,
             forces_n: Box::new(forces_n),
             // A finite positive deviation is valid.
@@ -178,11 +180,12 @@ impl World for PressedWorld {
         let forces_n = (self.forces_n)(self.samples as f64 / SENSE_RATE.value);
         self.samples += 1;
         let mut sample = WorldSample::default();
-        let places = sample.readings.iter_mut().zip(&self.forward).zip(forces_n);
-        for ((place, forward), force_n) in places {
+        let places = sample.readings.iter_mut().zip(&self.sensors).zip(forces_n);
+        for ((place, sensor), force_n) in places {
             // A sensor outside the model is on its bus with zero field.
-            let field_g =
-                forward.as_ref().map_or_else(Vector3::zeros, |forward| forward.field(force_n));
+            let field_g = sensor.as_ref().map_or_else(Vector3::zeros, |(forward, orientation)| {
+                orientation.to_sensor(forward.field(force_n))
+            });
             let field = [0, 1, 2].map(|axis| {
                 let noisy_g = field_g[axis] + self.noise.sample(&mut self.rng);
                 field_counts(noisy_g, self.gauss_per_lsb)

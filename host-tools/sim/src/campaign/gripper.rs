@@ -48,7 +48,14 @@ impl CampaignGripper {
                 let [other_x, other_z] = excitation.max_load(number as usize);
                 [x.max(other_x), z.max(other_z)]
             });
-            SensorUnit::new(&settings.design, number, (seed, scatter), effects, max_n)
+            SensorUnit::new(
+                &settings.design,
+                number,
+                (seed, scatter),
+                settings.mountings.of(number),
+                effects,
+                max_n,
+            )
         };
         Self {
             sensors: (0..settings.sensors).map(sensor).collect(),
@@ -147,6 +154,7 @@ mod tests {
     use crate::hall_sensor::HallScale;
     use crate::hall_sensor::NoiseKind;
     use crate::motion::Programme;
+    use crate::mountings::Mountings;
     use model_export::recordings::description::NominalDesign;
 
     fn settings(effects: &[&str]) -> CampaignSettings {
@@ -158,6 +166,7 @@ mod tests {
             design: NominalDesign::magpie(),
             part: HallScale::a31301(),
             sensors: 1,
+            mountings: Mountings::default(),
             scatter: 0.0,
             noise: NoiseKind::White,
             harder: 1.0,

@@ -13,6 +13,7 @@ use crate::campaign::plan::RecordingPlan;
 use crate::effects::{Effect, Effects};
 use crate::hall_sensor::{HallNoise, HallScale, NoiseKind};
 use crate::motion::{OpeningProfile, Programme};
+use crate::mountings::Mountings;
 
 /// Recordings start at multiples of this interval, in seconds.
 const SPACING_S: f64 = 600.0;
@@ -36,6 +37,8 @@ pub struct CampaignSettings {
     pub part: HallScale,
     /// Number of sensors.
     pub sensors: u32,
+    /// Mountings of the sensors.
+    pub mountings: Mountings,
     /// Factor on all manufacturing tolerances.
     pub scatter: f64,
     /// Kind of field noise in addition to white noise.
@@ -94,6 +97,7 @@ impl CampaignSettings {
                 range_gauss: design.sensor.range_gauss,
             },
             sensors: design.sensors,
+            mountings: Mountings::default(),
             scatter: 1.0,
             noise: NoiseKind::White,
             harder: 1.0,

@@ -15,6 +15,7 @@ use model_export::effects::catalogue::{
     NEIGHBOUR_MAGNET, SENSOR_TEMPERATURE, SOFTENING,
 };
 use model_export::input;
+use model_export::physics::{SensorMounting, SensorOrientation};
 use model_export::recordings::description::NominalDesign;
 use serde::{Deserialize, Serialize};
 use std::ffi::OsString;
@@ -237,6 +238,16 @@ struct TruthSettings {
     plan: Option<RecordingPlan>,
     #[serde(default)]
     effect: Vec<TruthEffect>,
+    #[serde(default)]
+    sensor: Vec<TruthSensor>,
+}
+
+#[derive(Deserialize)]
+struct TruthSensor {
+    number: u32,
+    #[serde(default)]
+    orientation: SensorOrientation,
+    remanence_t: f64,
 }
 
 #[derive(Deserialize)]
@@ -279,12 +290,18 @@ pub fn read_settings(truth: &Path) -> Result<CampaignSettings> {
         let effect: Effect = format!("{}={}", one.id, one.size).parse()?;
         Ok(Effect { flexures: one.flexures.unwrap_or(effect.flexures), ..effect })
     };
+    let design_t = truth_settings.design.magnet.remanence_t;
+    let mountings = truth_settings.sensor.iter().map(|sensor| {
+        let is_reversed = sensor.remanence_t * design_t < 0.0;
+        (sensor.number, SensorMounting { orientation: sensor.orientation, is_reversed })
+    });
     Ok(CampaignSettings {
         seed: truth_settings.seed,
         programme: truth_settings.programme,
         recordings: truth_settings.recordings,
         seconds: truth_settings.seconds,
         sensors: truth_settings.sensors,
+        mountings: mountings.collect(),
         scatter: truth_settings.scatter,
         noise: truth_settings.noise,
         harder: truth_settings.load,
@@ -304,6 +321,7 @@ mod tests {
     use super::*;
     use crate::campaign::plan::{AttitudePattern, LoadPattern, PlanStep};
     use crate::campaign::simulate;
+    use crate::mountings::Mountings;
 
     #[test]
     fn truth_is_written_next_to_its_campaign() {
@@ -325,6 +343,7 @@ mod tests {
             recordings: 1,
             seconds: 3.0,
             sensors: 2,
+            mountings: Mountings::new(&["1=+y-x+z:reversed".parse().unwrap()], 2).unwrap(),
             scatter: 1.5,
             noise: NoiseKind::Ar1,
             harder: 1.25,

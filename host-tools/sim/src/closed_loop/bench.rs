@@ -33,6 +33,7 @@ use crate::drivetrain::parameters::{Lead, PlantParameters};
 use crate::effects::{Effect, Effects};
 use crate::external_fields::{earth_field, in_body};
 use crate::motion::{Orientation, Programme};
+use crate::mountings::Mountings;
 use crate::random::{Purpose, smoothstep, stream, uniform};
 
 /// Period of rest and load in seconds.
@@ -69,6 +70,8 @@ pub struct BenchSetup {
     pub excitation_seed: u64,
     /// Factor on all manufacturing tolerances.
     pub scatter: f64,
+    /// Mountings of the sensors.
+    pub mountings: Mountings,
     /// Effects with their magnitudes.
     pub effects: Vec<Effect>,
     /// Number of recordings.
@@ -185,7 +188,8 @@ impl EmulatedBench {
             let loads = excitations.map(|excitation| excitation.max_load(sensor as usize));
             loads.fold([0.0_f64; 2], |[x, z], [other_x, other_z]| [x.max(other_x), z.max(other_z)])
         };
-        let tips = Fingertips::with_effects(setup.seed, setup.scatter, &effects, max_n);
+        let tips =
+            Fingertips::with_effects(setup.seed, setup.scatter, &setup.mountings, &effects, max_n);
         let rig = MotorRig::new(Lead::A, PlantParameters::nominal(Lead::A), START_MM, setup.seed);
         let mut gripper = SimulatedGripper::new(rig, tips, setup.excitation_seed);
         gripper.bench = Some(programme.clone());

@@ -15,6 +15,7 @@ use crate::effects::{Effect, Effects};
 use crate::external_fields::motor_currents;
 use crate::hall_sensor::{FieldConditions, HallScale, NOISE_G, SensorUnit};
 use crate::motion::{LEAD_MM, MotionState};
+use crate::mountings::Mountings;
 use crate::random::{Purpose, normal_vector, stream};
 
 /// Mass that lands with the gripper on the ground, in kg (assumed).
@@ -62,20 +63,24 @@ impl Fingertips {
     /// An effect is given twice.
     pub fn new(seed: u64, scatter: f64, effects: &[Effect]) -> Result<Self> {
         let effects = Effects::new(effects, seed, SENSORS as u32, scatter)?;
-        Ok(Self::with_effects(seed, scatter, &effects, |_| [constants::FORCE_RANGE.value; 2]))
+        let max_n = |_| [constants::FORCE_RANGE.value; 2];
+        Ok(Self::with_effects(seed, scatter, &Mountings::default(), &effects, max_n))
     }
 
-    /// Draws a gripper with the effects of its sensors; `max_n` are the largest loads of each axis of a sensor, at which a
+    /// Draws a gripper with the mountings and the effects of its sensors; `max_n` are the largest loads of each axis of a sensor, at which a
     /// stop engages.
     pub fn with_effects(
         seed: u64,
         scatter: f64,
+        mountings: &Mountings,
         effects: &Effects,
         max_n: impl Fn(u32) -> [f64; 2],
     ) -> Self {
         let design = NominalDesign::magpie();
-        let sensor =
-            |number| SensorUnit::new(&design, number, (seed, scatter), effects, max_n(number));
+        let sensor = |number| {
+            let mounting = mountings.of(number);
+            SensorUnit::new(&design, number, (seed, scatter), mounting, effects, max_n(number))
+        };
         Self {
             sensors: (0..SENSORS as u32).map(sensor).collect(),
             rng: stream(seed, Purpose::Fingertips, 0),

@@ -54,6 +54,16 @@ enum TimeConstant {
     Shape(usize),
 }
 
+impl TimeConstant {
+    /// With these nonlinear parameters.
+    fn seconds(self, shapes: &[f64]) -> Option<f64> {
+        match self {
+            Self::Seconds(seconds) => Some(seconds),
+            Self::Shape(index) => shapes.get(index).copied(),
+        }
+    }
+}
+
 /// True for names of covariates, recorded or not: they end in a unit.
 fn is_covariate(name: &str) -> bool {
     column_unit(name).is_some() || name == OPENING_RATE
@@ -348,6 +358,30 @@ impl Expression {
         MagnitudeSpec::norm_without_prior("norm of the coefficients", self.target.unit)
     }
 
+    /// What it depends on, with these values of its parameters: covariates, each with the time constant of its low pass in seconds.
+    pub fn inputs(&self, values: &[f64]) -> Vec<(&str, Option<f64>)> {
+        let (_, shapes) = values.split_at(self.coefficients.len().min(values.len()));
+        let input = |input: &Input| {
+            let seconds = input.lag.map(|lag| lag.seconds(shapes).unwrap_or(f64::NAN));
+            (self.covariates[input.covariate].as_str(), seconds)
+        };
+        self.inputs.iter().map(input).collect()
+    }
+
+    /// Values at the rows of columns in the order of [`Expression::inputs`].
+    pub fn values_at(&self, values: &[f64], columns: Vec<Vec<f64>>) -> Vec<f64> {
+        let (coefficients, shapes) = values.split_at(self.coefficients.len().min(values.len()));
+        let rows = columns.first().map_or(0, Vec::len);
+        let inputs: Vec<Values> = columns.into_iter().map(Values::Each).collect();
+        let found = self.evaluate(coefficients, shapes, &inputs);
+        (0..rows).map(|row| found.at(row)).collect()
+    }
+
+    /// Quantity that it changes, and index of its axis: the gripper's; of a gain or rotation, the sensor's.
+    pub fn target(&self) -> (Quantity, usize) {
+        (self.target.quantity, self.target.axis)
+    }
+
     /// Value of a formula without lags (`covariates` in the order of [`Expression::covariates`]) and axis of the gripper.
     pub fn value(&self, values: &[f64], covariates: &[f64]) -> (f64, usize) {
         let (coefficients, shapes) = values.split_at(self.coefficients.len().min(values.len()));
@@ -382,11 +416,6 @@ impl Expression {
         !self.has_memory() && names.all(|name| matches!(name.as_str(), "fx_n" | "fz_n"))
     }
 
-    /// True where it changes a gain, an orientation or a tilt, which the tables of the device do not hold.
-    pub fn changes_sensor(&self) -> bool {
-        matches!(self.stage(), EffectStage::Magnet | EffectStage::Sensor)
-    }
-
     /// True where it depends on the past: by a lag, or by a rate that rows on both sides determine.
     pub fn has_memory(&self) -> bool {
         self.inputs.iter().any(|input| input.lag.is_some())
@@ -397,12 +426,10 @@ impl Expression {
     fn columns(&self, shapes: &[f64], excitation: &ExcitationSeries) -> Option<Vec<Values>> {
         let column = |input: &Input| {
             let values = excitation.covariate(&self.covariates[input.covariate])?;
-            let seconds = match input.lag {
-                None => return Some(Values::Each(values)),
-                Some(TimeConstant::Seconds(seconds)) => seconds,
-                Some(TimeConstant::Shape(index)) => shapes.get(index).copied()?,
+            let Some(lag) = input.lag else {
+                return Some(Values::Each(values));
             };
-            Some(Values::Each(low_pass(&excitation.time_s, &values, seconds)))
+            Some(Values::Each(low_pass(&excitation.time_s, &values, lag.seconds(shapes)?)))
         };
         self.inputs.iter().map(column).collect()
     }
@@ -444,7 +471,7 @@ impl Expression {
 
 /// Quantity that a formula changes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Quantity {
+pub enum Quantity {
     /// Force on a flexure.
     Force,
     /// Displacement of the magnet.

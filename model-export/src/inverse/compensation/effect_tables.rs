@@ -15,10 +15,17 @@ const MIN_SLOPE: f64 = 0.05;
 /// Time constant in milliseconds of each of the two low passes of the force rate. Short ones pass noise, long
 /// ones trail the load. In simulation (10 ms of lag, loads of 200 N at 0.2 to 1.2 Hz) the error was 1.23, 1.15,
 /// 1.12 and 1.13 times that without a lag, at 5, 7, 9 and 12 ms.
-const RATE_FILTER_MS: f64 = 10.0;
+pub(super) const RATE_FILTER_MS: f64 = 10.0;
 
 /// Temperature rise in kelvin per count of the Hall sensor.
 const PER_COUNT: f64 = 1.0 / constants::TEMPERATURE_SCALE.value;
+
+/// A linear function of the field: value at the unloaded field `at_g`, and change per gauss of difference from it.
+pub(super) struct LinearInField {
+    pub(super) at_g: Vector3<f64>,
+    pub(super) rest_g: Vector3<f64>,
+    pub(super) bend: Matrix3<f64>,
+}
 
 impl Converter<'_> {
     /// Compensation of the field.
@@ -109,28 +116,41 @@ impl Converter<'_> {
         }))
     }
 
-    /// Derivative to the gap, fitted as a linear function of the field over the design box.
-    fn thermal_gap(&self, values: &[f64]) -> Result<FieldEffect<'static>, NotCompensable> {
-        let [um_per_k] = self.values(values)?;
-        let mm_per_count = 1e-3 * um_per_k * PER_COUNT;
-        let at = self.model.field([0.0; 2]) * self.units;
+    /// A function of the forces in gauss, fitted as a linear function of the field over the design box.
+    pub(super) fn linear_in_field(
+        &self,
+        function_g: &dyn Fn([f64; 2]) -> Vector3<f64>,
+    ) -> Result<LinearInField, NotCompensable> {
+        let at_g = self.model.field([0.0; 2]);
         let mut normal = nalgebra::Matrix4::<f64>::zeros();
         let mut right = nalgebra::Matrix4x3::<f64>::zeros();
         for force in self.model.region().lattice(15) {
-            let away = self.model.field(force) * self.units - at;
+            let away = (self.model.field(force) - at_g) * self.units;
             let regressor = nalgebra::Vector4::new(1.0, away.x, away.y, away.z);
-            let derivative = self.model.per_mm(force).column(1) * (mm_per_count * self.units);
             normal += regressor * regressor.transpose();
-            right += regressor * derivative.transpose();
+            right += regressor * (function_g(force) * self.units).transpose();
         }
         let fitted = normal.cholesky().map(|factor| factor.solve(&right));
         let fitted =
             fitted.ok_or_else(|| self.error("the field hardly changes over the force range"))?;
-        let bend = fitted.fixed_rows::<3>(1).transpose();
+        Ok(LinearInField {
+            at_g,
+            rest_g: fitted.row(0).transpose() / self.units,
+            bend: fitted.fixed_rows::<3>(1).transpose(),
+        })
+    }
+
+    /// The derivative to the gap.
+    fn thermal_gap(&self, values: &[f64]) -> Result<FieldEffect<'static>, NotCompensable> {
+        let [um_per_k] = self.values(values)?;
+        let mm_per_count = 1e-3 * um_per_k * PER_COUNT;
+        let derivative = self.linear_in_field(&|force_n| {
+            self.model.response(force_n).per_mm.column(1) * mm_per_count
+        })?;
         Ok(FieldEffect::ThermalGap(thermal::ThermalGapTable {
-            at: self.three(at, 0)?,
-            rest: self.three(fitted.row(0).transpose(), thermal::GAP_BITS)?,
-            bend: self.matrix(bend, thermal::GAP_BITS)?,
+            at: self.three(derivative.at_g * self.units, 0)?,
+            rest: self.three(derivative.rest_g * self.units, thermal::GAP_BITS)?,
+            bend: self.matrix(derivative.bend, thermal::GAP_BITS)?,
         }))
     }
 

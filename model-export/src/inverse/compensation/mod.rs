@@ -2,14 +2,18 @@
 
 mod effect_tables;
 mod lookup_table;
+mod support;
 
+pub use support::{DeviceSupport, device_support};
+
+use firmware::compensation::lookup_table::{Covariate, CovariateFilter, FILTERS, LookupTable};
 use firmware::compensation::{Compensation, FieldEffect, ForceEffect, MAX_EFFECTS, crosstalk};
 use firmware::fixed_point::{Field, Force};
 use nalgebra::{Matrix3, Vector3};
 use serde::Serialize;
 
 use crate::effects::{DeviceForm, EffectTerm};
-use crate::inverse::compensation::lookup_table::OwnedMap;
+use crate::inverse::compensation::lookup_table::{OwnedFieldMap, OwnedForceMap, OwnedMap};
 use crate::inverse::static_model::StaticModel;
 
 /// An effect that the device cannot compensate.
@@ -28,6 +32,7 @@ pub struct NotCompensable {
 #[derive(Clone, Debug, Default)]
 pub struct OwnedCompensation {
     number: u8,
+    filters: Vec<CovariateFilter>,
     field: Vec<OwnedOnField>,
     force: Vec<OwnedOnForce>,
 }
@@ -36,13 +41,13 @@ pub struct OwnedCompensation {
 enum OwnedOnField {
     Scalar(FieldEffect<'static>),
     Neighbour(Box<[[i32; 3]; crosstalk::KNOTS]>),
-    Map([OwnedMap; 3]),
+    Map(OwnedFieldMap),
 }
 
 #[derive(Clone, Debug)]
 enum OwnedOnForce {
     Scalar(ForceEffect<'static>),
-    Map([OwnedMap; 2]),
+    Map(OwnedForceMap),
 }
 
 /// Converts the effects of one sensor into the device's formats.
@@ -90,6 +95,7 @@ impl OwnedCompensation {
     ) -> Result<Option<Self>, NotCompensable> {
         let units = f64::from(1_u32 << Field::BITS) / gauss_per_lsb;
         let mut own = Self { number: number as u8, ..Self::default() };
+        let mut feedback = 0.0;
         let mut sorted: Vec<&(EffectTerm, Vec<f64>)> = effects.iter().collect();
         // In reverse order of the measuring chain.
         sorted.sort_by_key(|(effect, _)| std::cmp::Reverse(effect.stage()));
@@ -106,10 +112,15 @@ impl OwnedCompensation {
                 },
                 // In the tables of the inverse model.
                 EffectTerm::Expression(formula) if formula.depends_on_forces_alone() => {}
-                EffectTerm::Expression(formula) => match converter.map(formula, values)? {
-                    lookup_table::Maps::Field(maps) => own.field.push(OwnedOnField::Map(maps)),
-                    lookup_table::Maps::Force(maps) => own.force.push(OwnedOnForce::Map(maps)),
-                },
+                EffectTerm::Expression(formula) => {
+                    let converted = converter.formula(formula, values, &mut own.filters)?;
+                    match converted.map {
+                        OwnedMap::Field(map) => own.field.push(OwnedOnField::Map(map)),
+                        OwnedMap::Force(map) => own.force.push(OwnedOnForce::Map(map)),
+                    }
+                    feedback += converted.feedback;
+                    converter.check_feedback(feedback)?;
+                }
             }
         }
         let count = own.field.len().max(own.force.len());
@@ -124,16 +135,20 @@ impl OwnedCompensation {
 
     /// Whether one of the effects needs the sensor's temperature.
     pub fn needs_temperature(&self) -> bool {
-        self.field.iter().any(|effect| {
-            matches!(
-                effect,
-                OwnedOnField::Scalar(
-                    FieldEffect::SensorTemperature(_)
-                        | FieldEffect::MagnetTemperature(_)
-                        | FieldEffect::ThermalGap(_)
-                )
-            )
-        })
+        let view = self.view();
+        let of_field = view.field.iter().flatten().any(|effect| match effect {
+            FieldEffect::SensorTemperature(_)
+            | FieldEffect::MagnetTemperature(_)
+            | FieldEffect::ThermalGap(_) => true,
+            FieldEffect::Map(map) => is_over_temperature(&map.table),
+            _ => false,
+        });
+        let of_force = view.force.iter().flatten().any(|effect| match effect {
+            ForceEffect::Map(map) => is_over_temperature(&map.table),
+            _ => false,
+        });
+        let mut filters = self.filters.iter();
+        of_field || of_force || filters.any(|filter| filter.covariate == Covariate::Temperature)
     }
 
     /// Number of the sensor.
@@ -148,8 +163,11 @@ impl OwnedCompensation {
 
     /// The device's view.
     pub fn view(&self) -> Compensation<'_> {
+        let mut filters = [None; FILTERS];
+        filters.iter_mut().zip(&self.filters).for_each(|(slot, filter)| *slot = Some(*filter));
         let mut view = Compensation {
             number: self.number,
+            filters,
             field: [None; MAX_EFFECTS],
             force: [None; MAX_EFFECTS],
         };
@@ -161,17 +179,21 @@ impl OwnedCompensation {
                         knots: &knots[..],
                     })
                 }
-                OwnedOnField::Map(maps) => FieldEffect::Map(maps.each_ref().map(OwnedMap::view)),
+                OwnedOnField::Map(map) => FieldEffect::Map(map.view()),
             });
         }
         for (slot, effect) in view.force.iter_mut().zip(&self.force) {
             *slot = Some(match effect {
                 OwnedOnForce::Scalar(scalar) => *scalar,
-                OwnedOnForce::Map(maps) => ForceEffect::Map(maps.each_ref().map(OwnedMap::view)),
+                OwnedOnForce::Map(map) => ForceEffect::Map(map.view()),
             });
         }
         view
     }
+}
+
+fn is_over_temperature(table: &LookupTable) -> bool {
+    table.sides.iter().flatten().any(|side| side.covariate == Covariate::Temperature)
 }
 
 impl Converter<'_> {

@@ -393,14 +393,15 @@ impl Draft {
         }
         self.check(
             "axes and signs: x lateral (grasping) and z longitudinal in the plane of motion, y across the gap; a force and the \
-             motion that it causes have one sign; exchange the columns, or set scale = -1, where yours are otherwise",
+             motion that it causes have one sign; exchange the columns of the forces, or set scale = -1, where yours are otherwise; leave \
+             those of the field in the axes of the sensor, whose orientation a fit finds",
         );
         if let Some(axis) = strongest_axis(&fields().collect::<Vec<_>>())
             && axis != Axis::Y
         {
             self.check(format!(
                 "the field is strongest on {0}: if the magnet is magnetised across the gap, your {0} is the y of this project: \
-                 map it to sN_y, and the others accordingly",
+                 name the forces accordingly",
                 axis.letter()
             ));
         }

@@ -69,12 +69,12 @@ macro_rules! flip_fields {
     )*};
 }
 flip_fields! {
-    [] SensorTable: number, scale, limit_counts, linear, pairs, used_pairs, shift, parity;
+    [] SensorTable: number, axes, scale, limit_counts, linear, pairs, used_pairs, shift, parity;
     [] AxisScale: offset, gain;
     [] Linear: bias, slope;
     [] CentrePair: xy, z, weight;
     [] Parity: axis, terms, sigma;
-    ['a] Compensation<'a>: number, field, force;
+    ['a] Compensation<'a>: number, filters, field, force;
     [] SensorTemperatureTable: offset, gain;
     [] MotorLeakageTable: per_ma;
     [] EarthFieldTable: world, element;
@@ -86,6 +86,9 @@ flip_fields! {
     [] HysteresisTable: sliders;
     [] Slider: reach, share;
     [] FingertipMassTable: mass;
+    [] CovariateFilter: gain; without covariate;
+    ['a] FieldMap<'a>: table, along, matrix;
+    ['a] ForceMap<'a>: table, along;
     ['a] LookupTable<'a>: sides; without values;
     [] LookupAxis: from, step, knots; without covariate;
     [] Network<2, 4, 1>: sensors, inputs, force, warm_up, guards, weights; without target, check;
@@ -136,7 +139,7 @@ macro_rules! flip_wrapped {
         }
     )*};
 }
-flip_wrapped!(Field, Force);
+flip_wrapped!(AxisMap, Field, Force);
 
 /// Flips every bit, asserts that each flip is detected, and returns the number of bits.
 pub fn assert_flips_detected<T: BitFlip>(

@@ -10,12 +10,15 @@ use crate::compensation::flexure::{
     CreepTable, FingertipMassTable, HardStopTable, ViscousLagTable,
 };
 use crate::compensation::hysteresis::{HysteresisTable, Slider};
-use crate::compensation::lookup_table::{Covariate, LookupAxis, LookupTable};
+use crate::compensation::lookup_table::{
+    Covariate, CovariateFilter, FieldMap, ForceMap, LookupAxis, LookupTable,
+};
 use crate::compensation::thermal::{
     MagnetTemperatureTable, SensorTemperatureTable, ThermalGapTable,
 };
 use crate::compensation::{Compensation, FieldEffect, ForceEffect, MAX_EFFECTS};
 use crate::fixed_point::{Field, Force};
+use crate::model::axis_map::AxisMap;
 use crate::model::calibration::{CalibrationMemory, CompensationMemory, POOL_INTEGERS, Payload};
 use crate::model::encoding::*;
 use crate::model::formats::*;
@@ -61,6 +64,7 @@ fn sensor(number: u8) -> SensorTable {
     let mut numbers = Numbers(number.into());
     SensorTable {
         number,
+        axes: AxisMap(0o016),
         scale: array::from_fn(|_| AxisScale { offset: numbers.next(), gain: numbers.next() }),
         limit_counts: numbers.next() as i16,
         linear: Linear { bias: numbers.many(), slope: numbers.rows() },
@@ -78,20 +82,18 @@ fn sensor(number: u8) -> SensorTable {
 /// All effects on the field and on the forces, two of each per sensor.
 fn compensations<'a>(knots: &'a [[i32; 3]; KNOTS], values: &'a [i32]) -> [Compensation<'a>; 4] {
     let numbers = &mut Numbers(7);
-    let table = |covariate| LookupTable {
-        sides: [Some(LookupAxis { covariate, from: 3, step: 5, knots: 2 }), None],
-        values,
-    };
+    let side = |covariate| Some(LookupAxis { covariate, from: 3, step: 5, knots: 2 });
+    let table = |one, other| LookupTable { sides: [side(one), side(other), None], values };
     let field = [
         FieldEffect::SensorTemperature(SensorTemperatureTable { offset: numbers.many(), gain: 5 }),
         FieldEffect::MotorLeakage(MotorLeakageTable { per_ma: numbers.rows() }),
         FieldEffect::EarthField(EarthFieldTable { world: numbers.many(), element: numbers.rows() }),
         FieldEffect::NeighbourMagnet(NeighbourMagnetTable { knots }),
-        FieldEffect::Map([
-            table(Covariate::Opening),
-            table(Covariate::MotorIq),
-            table(Covariate::Acceleration(2)),
-        ]),
+        FieldEffect::Map(FieldMap {
+            table: table(Covariate::Force(1), Covariate::Acceleration(2)),
+            along: numbers.many(),
+            matrix: numbers.rows(),
+        }),
         FieldEffect::MagnetTemperature(MagnetTemperatureTable {
             without: numbers.many(),
             per_count: 9,
@@ -112,10 +114,19 @@ fn compensations<'a>(knots: &'a [[i32; 3]; KNOTS], values: &'a [i32]) -> [Compen
             }),
         }),
         ForceEffect::FingertipMass(FingertipMassTable { mass: 8 }),
-        ForceEffect::Map([table(Covariate::MotorAngle), table(Covariate::Temperature)]),
+        ForceEffect::Map(ForceMap {
+            table: table(Covariate::Lagged(0), Covariate::Rate(1)),
+            along: numbers.many(),
+        }),
     ];
     array::from_fn(|number| Compensation {
         number: number as u8,
+        filters: [
+            Some(CovariateFilter { covariate: Covariate::Temperature, gain: 77 }),
+            Some(CovariateFilter { covariate: Covariate::Force(0), gain: 99 }),
+            None,
+            None,
+        ],
         field: array::from_fn(|at| field.get(at + 2 * number).copied()),
         force: array::from_fn(|at| force.get(at + 2 * number).copied()),
     })
@@ -201,8 +212,8 @@ fn every_flipped_bit_of_the_ideal_model_is_detected() {
         owned.sensors[2] = *sensor;
         owned.checksum() == intact
     });
-    // Bytes: 1 + 24 + 2 + 32 + 50 * 20 + 1 + 2 + 1 + 112 + 4.
-    assert_eq!(bits, 8 * 1179);
+    // Bytes: 1 + 2 + 24 + 2 + 32 + 50 * 20 + 1 + 2 + 1 + 112 + 4.
+    assert_eq!(bits, 8 * 1181);
     // The other sensors and the entries of the exponential are traversed alike: one bit of each.
     type Flip = fn(&mut OwnedTables, usize);
     let flips: [(usize, Flip); 4] = [
@@ -260,10 +271,10 @@ fn changed_effects_of_a_compensation_are_detected() {
         }
     }
     let mut changed = original;
-    let Some(ForceEffect::Map([map, _])) = &mut changed[0].force[5] else {
+    let Some(ForceEffect::Map(map)) = &mut changed[0].force[5] else {
         panic!("no map");
     };
-    map.sides[0].as_mut().unwrap().covariate = Covariate::Opening;
+    map.table.sides[0].as_mut().unwrap().covariate = Covariate::Opening;
     assert_ne!(checksum(&changed), intact);
 }
 
@@ -377,8 +388,8 @@ fn what_does_not_fit_is_not_loaded() {
     let loaded = |integers: usize, networks: &[Network<2, 8, 1>]| {
         owned.with(|tables| decoded(&Payload { tables: &tables, networks }, integers, |_| ()))
     };
-    // A table over the opening at sensors 0 and 1; five, three and one maps of ten values.
-    let needed = 2 * 3 * KNOTS + 10 * (3 + 2 + 3 + 2 + 3 + 2);
+    // A table over the opening at sensors 0 and 1; two maps of ten values at three sensors.
+    let needed = 2 * 3 * KNOTS + 10 * (2 + 2 + 2);
     assert_eq!(loaded(needed - 1, &[]), None);
     assert_eq!(loaded(needed, &[]), Some(()));
     let five = array::from_fn::<_, 5, _>(|_| network());
@@ -426,14 +437,15 @@ fn the_checksum_is_the_zlib_crc32_of_the_words() {
 
 #[test]
 fn a_window_of_one_word_covers_that_word() {
-    // Number 1, scale 6, limit 1, linear 8, pairs 50 * 10, used 1, shift 2, parity 1 + 28 + 1.
+    // Number 1, axes 1, scale 6, limit 1, linear 8, pairs 50 * 10, used 1, shift 2, parity 1 + 28 + 1.
     let sensor = sensor(3);
-    assert_eq!((word_count(&sensor), SensorTable::WORDS), (549, 549));
+    assert_eq!((word_count(&sensor), SensorTable::WORDS), (550, 550));
     for (skip, word) in [
         (0, Some(3)),
-        (1, Some(sensor.scale[0].offset as u32)),
-        (548, Some(sensor.parity.sigma as u32)),
-        (549, None),
+        (1, Some(sensor.axes.0.into())),
+        (2, Some(sensor.scale[0].offset as u32)),
+        (549, Some(sensor.parity.sigma as u32)),
+        (550, None),
     ] {
         let mut seen = Vec::new();
         visit(&sensor, &mut Window::new(skip, 1, &mut |word, _| seen.push(word)));
@@ -445,7 +457,7 @@ fn a_window_of_one_word_covers_that_word() {
 fn consecutive_windows_give_the_checksum_of_the_whole() {
     OwnedTables::new().with(|tables| {
         let words = word_count(&tables);
-        for count in [1, 7, 549, 1000, words] {
+        for count in [1, 7, 550, 1000, words] {
             let mut digest = CRC32.digest();
             for from in (0..words).step_by(count) {
                 digest = update(&tables, from, count, digest);

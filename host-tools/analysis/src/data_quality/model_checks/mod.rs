@@ -18,6 +18,7 @@ use std::path::PathBuf;
 use model_export::effects::ExcitationSeries;
 use model_export::fit::cross_validation::noise_variance;
 use model_export::fit::rows::{RecordingRows, SensorRows};
+use model_export::physics::SensorOrientation;
 use model_export::recordings::align::Alignment;
 use model_export::recordings::columns::Axis;
 use model_export::recordings::csv_table::table_path;
@@ -94,15 +95,16 @@ pub struct Case<'a> {
     pub rows: Vec<usize>,
     /// Covariates and forces of the subsample.
     pub track: ExcitationSeries,
-    /// Measured field of the subsample in gauss.
+    /// Measured field of the subsample in gauss, as recorded: in the sensor's axes.
     pub measured: Vec<Vector3<f64>>,
-    /// Predicted field with the columns as recorded.
+    /// Predicted field with the columns as recorded, in the sensor's axes.
     pub modelled: Vec<Vector3<f64>>,
     /// Mean square of the noise in gauss squared, mean of the axes.
     pub floor: f64,
     /// Mean square of the model's residual.
     pub as_recorded: f64,
     predict: Predict<'a>,
+    orientation: SensorOrientation,
 }
 
 impl<'a> Case<'a> {
@@ -115,10 +117,8 @@ impl<'a> Case<'a> {
         let stride = part.len().div_ceil(MOST_ROWS).max(1);
         let rows: Vec<usize> = (0..part.len()).step_by(stride).collect();
         let track = part.track.at(&rows);
-        let measured: Vec<Vector3<f64>> = rows.iter().map(|&row| part.field_g[row]).collect();
-        let modelled = (sensor.predict)(&track);
-        let as_recorded = mean_square(&measured, &modelled);
-        let usable = rows.len() >= LEAST_ROWS && as_recorded.is_finite();
+        let orientation = sensor.rows.orientation;
+        let measured = rows.iter().map(|&row| orientation.to_sensor(part.field_g[row])).collect();
         let mut case = Self {
             sensor: sensor.rows.sensor,
             recording,
@@ -127,12 +127,16 @@ impl<'a> Case<'a> {
             rows,
             track,
             measured,
-            modelled,
+            modelled: Vec::new(),
             floor: 0.0,
-            as_recorded,
+            as_recorded: 0.0,
             predict: sensor.predict,
+            orientation,
         };
+        case.modelled = case.modelled_under(&case.track);
+        case.as_recorded = mean_square(&case.measured, &case.modelled);
         case.floor = case.mean_floor();
+        let usable = case.rows.len() >= LEAST_ROWS && case.as_recorded.is_finite();
         usable.then_some(case)
     }
 
@@ -170,9 +174,10 @@ impl<'a> Case<'a> {
         rows.filter_map(|&row| all.get(row).copied()).collect()
     }
 
-    /// Prediction for another track.
+    /// Prediction for another track, in the sensor's axes.
     pub fn modelled_under(&self, track: &ExcitationSeries) -> Vec<Vector3<f64>> {
-        (self.predict)(track)
+        let fields = (self.predict)(track).into_iter();
+        fields.map(|field| self.orientation.to_sensor(field)).collect()
     }
 
     /// Mean square of the residual for another track.

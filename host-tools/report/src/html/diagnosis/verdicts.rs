@@ -71,7 +71,7 @@ pub fn found_section(diagnosis: &Diagnosis) -> Option<Section> {
         // Equivalent effects share the plot of the fitted one.
         let new = shape.filter(|shape| !drawn.iter().any(|other| std::ptr::eq(*other, *shape)));
         drawn.extend(new);
-        parts.push(part(verdict, new));
+        parts.push(part(diagnosis, verdict, new));
     }
     let formulas = &diagnosis.formulas;
     (!there.is_empty() || !formulas.is_empty()).then(|| Section {
@@ -86,6 +86,7 @@ pub fn found_section(diagnosis: &Diagnosis) -> Option<Section> {
 
 fn formula_part(diagnosis: &Diagnosis, formula: &DiscoveredFormula) -> Markup {
     let shape = diagnosis.shapes.iter().find(|shape| shape.effects.contains(&formula.name));
+    let device = text::formula_on_device(diagnosis, formula);
     let numbers = formula.models.first().map_or(&[][..], |model| &model.sensors);
     let heads: Vec<String> = std::iter::once("parameter".to_owned())
         .chain(numbers.iter().map(|sensor| format!("sensor {}", sensor.number)))
@@ -100,12 +101,14 @@ fn formula_part(diagnosis: &Diagnosis, formula: &DiscoveredFormula) -> Markup {
         }
         p { (text::formula_evidence(diagnosis, formula)) }
         p.note { (text::formula_alternatives(formula)) }
+        @if !device.is_empty() { p.note { (device) } }
         @if let Some(shape) = shape { (effect::strongest(shape)) (effect::all(shape)) }
         (table("Values at each sensor, with standard errors", &heads, rows))
     }
 }
 
-fn part(verdict: &Verdict, shape: Option<&EffectShape>) -> Markup {
+fn part(diagnosis: &Diagnosis, verdict: &Verdict, shape: Option<&EffectShape>) -> Markup {
+    let device = text::runs_on_device(diagnosis, &[&verdict.effect]);
     html! {
         h3 { (verdict.effect) " " span.model { (text::verdict_label(verdict)) } }
         div.pair {
@@ -113,6 +116,7 @@ fn part(verdict: &Verdict, shape: Option<&EffectShape>) -> Markup {
                 @if !text::magnitude(verdict).is_empty() { p { strong { (text::magnitude(verdict)) } } }
                 p { (text::physics(verdict)) }
                 p.note { (text::reason_sentence(verdict)) " " (text::similar_effects(verdict)) }
+                @if !device.is_empty() { p.note { (device) } }
             }
             @if let Some(shape) = shape { (effect::strongest(shape)) }
         }

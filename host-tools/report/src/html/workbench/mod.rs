@@ -8,6 +8,7 @@ use analysis::workbench::{ResidualScatter, Workbench, WorkbenchModel};
 use maud::{DOCTYPE, PreEscaped, html};
 use model_export::effects::excitation::BUILT_IN_COVARIATES;
 use model_export::effects::{EffectTerm, Expression, find};
+use model_export::inverse::compensation::device_support;
 use plotters::prelude::*;
 use serde_json::{Value, json};
 
@@ -15,7 +16,9 @@ use crate::html::diagnosis::verdicts::planned;
 use crate::html::plot::{Along, axes, figure, px, stroke};
 use crate::html::{attribution, errors, head, histograms, map, palette, summary, traces};
 use crate::text::comparison::{force_headline, force_origins, validation, verdict};
-use crate::text::diagnosis::{is_present, magnitude, missing_columns};
+use crate::text::diagnosis::{
+    formula_on_device, is_present, magnitude, missing_columns, runs_on_device,
+};
 use crate::text::notes;
 
 /// The page, without a model; its script asks for one. With `live` it shows a gripper.
@@ -127,13 +130,16 @@ pub fn state(
     baseline: Option<&WorkbenchModel>,
     commands: &[String],
 ) -> Value {
-    let present = model.effects.iter().zip(&model.model.effects).map(|(term, effect)| {
+    let device = device_support(&model.model, &model.effects);
+    let present = model.effects.iter().zip(&model.model.effects).zip(device);
+    let present = present.map(|((term, effect), device)| {
         let formula = match term {
             EffectTerm::Expression(expression) => Some(&expression.text),
             _ => None,
         };
         json!({
             "name": effect.name, "formula": formula, "value": effect.value, "std_error": effect.std_error, "unit": effect.unit,
+            "device": format!("on the device: {device}"),
         })
     });
     let candidates = model.candidates.iter().map(|one| {
@@ -187,8 +193,10 @@ pub fn formula_names(bench: &Workbench) -> Value {
 pub fn diagnosis(diagnosis: &Diagnosis) -> Value {
     let evidence = |verdict: &Verdict| {
         let p = numbers::decimal(verdict.p_adjusted, 3);
-        let text = format!("{}; gain {:.1} %, p {p}", magnitude(verdict), 100.0 * verdict.gain);
-        (verdict.effect.clone(), Value::from(text.trim_start_matches("; ")))
+        let device = runs_on_device(diagnosis, &[&verdict.effect]);
+        let text =
+            format!("{}; gain {:.1} %, p {p}. {device}", magnitude(verdict), 100.0 * verdict.gain);
+        (verdict.effect.clone(), Value::from(text.trim_start_matches("; ").trim_end()))
     };
     let formula = |effect: &EffectTerm| match effect {
         EffectTerm::Expression(expression) => {
@@ -208,7 +216,7 @@ pub fn diagnosis(diagnosis: &Diagnosis) -> Value {
         .iter()
         .map(|step| step.iter().filter(|name| !is_formula(name)).cloned().collect::<Vec<_>>());
     let formulas = formulas().map(|one| {
-        json!({ "name": one.name, "formulas": one.effects.iter().filter_map(formula).collect::<Vec<_>>(), "gain": one.gain, "p": one.p_value })
+        json!({ "name": one.name, "formulas": one.effects.iter().filter_map(formula).collect::<Vec<_>>(), "gain": one.gain, "p": one.p_value, "device": formula_on_device(diagnosis, one) })
     });
     json!({
         "headline": crate::text::diagnosis::force_headline(diagnosis),

@@ -80,7 +80,7 @@
         const without = effect.formula
           ? { effects, formulas: formulas.filter((text) => name(text) !== effect.name) }
           : { effects: effects.filter((name) => name !== effect.name), formulas };
-        const item = choice(effect.name, "remove", [effect.formula, size].filter(Boolean).join("; "), () => go(without));
+        const item = choice(effect.name, "remove", [effect.formula, size, effect.device].filter(Boolean).join("; "), () => go(without));
         item.dataset.effect = effect.name;
         return item;
       }),
@@ -185,7 +185,7 @@
         return element("li", {}, button);
       };
       const parts = found.steps.flatMap((step) => step.map((name) => add(step.length > 1 ? `Add ${name}: one of ${step.length} that explain the same` : `Add ${name}`, [name], [], found.evidence[name])));
-      parts.push(...found.formulas.map((one) => add(`Add ${one.formulas.join(" and ")}`, [], one.formulas, `gain ${(100 * one.gain).toFixed(1)} %, p ${one.p.toFixed(3)}`)));
+      parts.push(...found.formulas.map((one) => add(`Add ${one.formulas.join(" and ")}`, [], one.formulas, `gain ${(100 * one.gain).toFixed(1)} %, p ${one.p.toFixed(3)}. ${one.device}`)));
       const nothing = found.at_floor ? "No missing effect was found: the residual is at its noise floor." : "Neither the catalogue nor formulas explain what is left.";
       result.replaceChildren(
         element("p", { className: "note", textContent: [found.missing.trim(), found.headline].filter(Boolean).join(" ") }),
