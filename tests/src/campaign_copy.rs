@@ -61,6 +61,13 @@ impl CsvTable {
         }
     }
 
+    /// Removes a column.
+    pub fn remove(&mut self, column: &str) {
+        let i = self.index(column);
+        self.header.remove(i);
+        self.rows.iter_mut().for_each(|row| drop(row.remove(i)));
+    }
+
     /// Swaps the names of two columns.
     pub fn exchange(&mut self, one: &str, other: &str) {
         let (one, other) = (self.index(one), self.index(other));

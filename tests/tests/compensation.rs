@@ -142,8 +142,8 @@ fn errors(effect: (EffectTerm, Vec<f64>)) -> (f64, f64) {
     let list: Vec<(&EffectTerm, &[f64])> =
         effects.iter().map(|(effect, values)| (effect, values.as_slice())).collect();
     let track = track();
-    let states = StateSeries::of(&track, with.model.stiffness_n_per_mm, &list).states;
-    let frames = with.model.frames();
+    let states = StateSeries::of(&track, with.stiffness_n_per_mm(), &list).states;
+    let frames = nominal().frames();
     let run = |rest: &StaticModel, compensations: &[Compensation]| {
         let chosen = chosen(rest);
         let tables = chosen.tables.tables(compensations);
@@ -151,7 +151,7 @@ fn errors(effect: (EffectTerm, Vec<f64>)) -> (f64, f64) {
         let mut squares = 0.0;
         for (row, state) in states.iter().enumerate() {
             let counts =
-                rest.model.field_at(&frames, state).map(|g| (g / GAUSS_PER_LSB).round() as i16);
+                nominal().field_at(&frames, state).map(|g| (g / GAUSS_PER_LSB).round() as i16);
             let temperature_rise = track.temperature_c[row] - REFERENCE_C;
             let reading = HallReading {
                 field: counts.into(),

@@ -9,11 +9,12 @@ use model_export::fit::problem::SensorProblem;
 use model_export::fit::rows::SensorRows;
 use model_export::fit::sensor_fit::{self, SensorSolution};
 use model_export::fit::solver::{FINE_TOLERANCE, minimise, weighted_jacobian};
-use model_export::fit::{CampaignFits, FitOptions, campaign};
+use model_export::fit::{CampaignFits, FitError, FitOptions, campaign};
 use model_export::model_file::{ModelFile, Provenance};
 use model_export::physics::ForwardModel;
-use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
+use model_export::recordings::columns::Axis;
+use model_export::recordings::{Campaign, Notice};
 use nalgebra::DVector;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -185,11 +186,40 @@ fn a_file_of_another_program_is_not_overwritten() {
 fn a_constant_channel_and_a_constant_force_are_refused() {
     let dead = error_of("hall.csv", &[], Some((3, 0.0)));
     assert!(dead.contains("column s0_z: the channel never changes"), "{dead}");
-    let resting = error_of("force.csv", &[], Some((1, 0.0)));
+    let resting = with_lateral_force("3.0").err().unwrap().to_string();
     assert!(
         resting.contains("column f0_x_n: the force does not move beyond its noise"),
         "{resting}"
     );
+}
+
+/// Fit of a bench whose column of lateral forces has one value.
+fn with_lateral_force(value: &str) -> Result<(CampaignFits, Vec<Notice>), FitError> {
+    let folder = TempDir::new().unwrap();
+    let bench = SyntheticCampaign { model: nominal(), seconds: 4.0, noise: (0.35, 0.15), seed: 2 };
+    bench.write_campaign(folder.path(), 1);
+    let path = folder.path().join("1/force.csv");
+    let text = std::fs::read_to_string(&path).unwrap();
+    let mut rows = text.lines();
+    let mut edited = format!("{}\n", rows.next().unwrap());
+    for row in rows {
+        let mut cells: Vec<&str> = row.split(',').collect();
+        cells[1] = value;
+        edited += &(cells.join(",") + "\n");
+    }
+    std::fs::write(&path, edited).unwrap();
+    campaign::cylinder(&read(folder.path()), FitOptions::default(), |_| ())
+}
+
+#[test]
+fn force_of_zero_leaves_its_stiffness_at_nominal() {
+    let (fits, notices) = with_lateral_force("0.0").unwrap();
+    assert!(notices[0].message.starts_with("f0_x_n is zero within its noise"), "{notices:?}");
+    let CampaignFits::Cylinder(_, fit) = fits else { unreachable!("a cylinder") };
+    let sensor = &fit.sensors[0];
+    assert_eq!(sensor.forces, [(0, Axis::Z)]);
+    assert_eq!((sensor.values[0], sensor.identifiable[0]), (500.0, false));
+    assert!(sensor.identifiable[1] && (sensor.values[1] - 800.0).abs() < 8.0, "{sensor:?}");
 }
 
 #[test]

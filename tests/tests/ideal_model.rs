@@ -11,7 +11,7 @@ use model_export::inverse::build::ModelVariant;
 use model_export::inverse::grbf::{ErrorMap, Grbf, GrbfShape, nearest_forces, training_samples};
 use model_export::inverse::model_selection::{SelectedModels, select_models};
 use model_export::inverse::quantise::{TableSet, representable};
-use model_export::inverse::static_model::{DesignBox, StaticModel};
+use model_export::inverse::static_model::{DesignBox, ForceRegion, StaticModel};
 use model_export::physics::ForwardModel;
 use model_export::recordings::description::{MagnetAxis, MagnetShape, MagnetSpec, NominalDesign};
 use nalgebra::Vector3;
@@ -78,10 +78,10 @@ fn the_inverse_error_is_below_the_noise_of_a_reading() {
 #[test]
 fn the_maximum_of_the_error_map_is_below_a_newton() {
     let chosen = chosen();
-    let map = ErrorMap::of(&nominal(), [250.0; 2], 11, |field| {
+    let map = ErrorMap::of(&nominal(), ForceRegion::symmetric(250.0), 11, |field| {
         chosen.tables.force(0, field, GAUSS_PER_LSB)
     });
-    assert_eq!((map.loads_n[0], map.loads_n[10], map.errors_n.len()), (-250.0, 250.0, 11));
+    assert_eq!((map.loads_n[0][0], map.loads_n[1][10], map.errors_n.len()), (-250.0, 250.0, 11));
     assert!(map.worst_n() < 1.0, "{}", map.worst_n());
 }
 

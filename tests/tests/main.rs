@@ -8,5 +8,6 @@ mod ideal_model;
 mod import;
 mod magnet_fields;
 mod orientation;
+mod polynomial_inverse;
 mod recording_errors;
 mod third_party_data;

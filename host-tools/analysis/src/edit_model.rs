@@ -80,8 +80,14 @@ pub fn refit(
         let mut next = || forces.next().unwrap_or_default();
         let (before_n, after_n) = (next(), next());
         let missing = before_n.none.as_ref().or(after_n.none.as_ref());
-        if let Some(MissingForces::NotCompensable(why)) = missing {
-            notes.push(Note::NotCompensable(why.clone()));
+        match missing {
+            Some(MissingForces::NotCompensable(why)) => {
+                notes.push(Note::NotCompensable(why.clone()));
+            }
+            Some(why @ MissingForces::NotInvertible(_)) => {
+                notes.push(Note::NoForces(why.clone()));
+            }
+            _ => {}
         }
         let written = ModelFile::with_effects(&campaign, &prepared, &new, &after, provenance);
         let force = before_n.error.zip(after_n.error);

@@ -5,6 +5,7 @@ use std::path::Path;
 
 use anyhow::{Result, bail};
 use model_export::fit::campaign::FitSetup;
+use model_export::fit::joint::JointFit;
 use model_export::fit::{self, CampaignFits, FitOptions};
 use model_export::model_file::{BaseKind, ModelFile, Provenance};
 use model_export::recordings::align::Alignment;
@@ -13,7 +14,7 @@ use model_export::recordings::{Campaign, Location, Notice};
 
 use crate::compare::ForceError;
 use crate::compare::campaign_reader::check_distinct;
-use crate::compare::force_errors::held_out_forces;
+use crate::compare::force_errors::{ForceEvaluation, held_out_forces};
 use crate::data_quality::{Finding, scan_files};
 use crate::notes::{Note, collect};
 use crate::progress;
@@ -76,17 +77,23 @@ pub fn fit_model(
         let sources = provenance.recordings.iter();
         check_distinct(&provenance.campaign, sources.map(|r| (&*r.name, &*r.sha256)))?;
         let mut model = ModelFile::of(&campaign, &fits, provenance);
-        let force = match &fits {
-            CampaignFits::Polynomial(_) => None,
-            CampaignFits::Cylinder(_, fit) => {
-                let bar = progress::progress_bar("replaying on the device's code", 1);
-                let setup = FitSetup::cylinder(&campaign)?;
-                let forces = held_out_forces(&campaign, &setup, &[(fit, &[])], alignment, options)?;
-                bar.finish_and_clear();
-                model.inverse = forces.first().and_then(|forces| forces.shape);
-                forces.first().and_then(|forces| forces.error)
-            }
+        let bar = progress::progress_bar("replaying on the device's code", 1);
+        let evaluate = |setup: &FitSetup, fit: &JointFit| {
+            let evaluated = held_out_forces(&campaign, setup, &[(fit, &[])], alignment, options);
+            evaluated.map(|forces| forces.into_iter().next().unwrap_or_default())
         };
+        let forces = match &fits {
+            CampaignFits::Cylinder(_, fit) => evaluate(&FitSetup::cylinder(&campaign)?, fit)?,
+            CampaignFits::Polynomial(_) if model.has_force_polynomials() => {
+                let setup = model.fit_setup(&campaign, options)?;
+                evaluate(&setup, &setup.fit(&[], setup.split(&[]), options, |_| ())?)?
+            }
+            CampaignFits::Polynomial(_) => ForceEvaluation::default(),
+        };
+        bar.finish_and_clear();
+        model.inverse = forces.shape;
+        notes.extend(forces.none.map(Note::NoForces));
+        let force = forces.error;
         Ok(CampaignFit { campaign, fits, model, force, notes: std::mem::take(notes) })
     })
 }

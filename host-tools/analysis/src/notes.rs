@@ -12,6 +12,7 @@ use model_export::recordings::{Campaign, Notice};
 use serde::Serialize;
 
 use crate::benchmark::variants::EstimatorVariant;
+use crate::compare::MissingForces;
 use crate::data_quality::Finding;
 
 /// A remark on the input of a result, or on what was left out of it.
@@ -76,6 +77,8 @@ pub enum Note {
     Uncompensated(UncompensatedEffect),
     /// The parameters of an effect are outside of the device's formats, so the device code was not evaluated.
     NotCompensable(NotCompensable),
+    /// The device code was not evaluated, for this reason.
+    NoForces(MissingForces),
     /// Estimates without the compensation of an effect, because its covariate was not recorded.
     MissingInputs {
         /// Number of estimates.

@@ -8,6 +8,7 @@ use firmware::compensation::covariates::{
 use firmware::config::constants;
 use firmware::sensors::hall::{HallReading, a31301};
 use model_export::effects::REFERENCE_C;
+use model_export::fit::rows::ForcePair;
 use model_export::recordings::columns::{Axis, COVARIATES, ChannelLayout, ForceColumn, HallColumn};
 use model_export::recordings::description::NominalDesign;
 use model_export::recordings::stream::RawRow;
@@ -23,8 +24,8 @@ pub struct SensorChannels {
     pub field: [usize; 3],
     /// Channel of its temperature.
     pub temperature: Option<usize>,
-    /// Indices of its forces: Fx, Fz.
-    pub forces: [usize; 2],
+    /// Indices of the forces of its model: Fx, Fz; `None` for one that was not measured.
+    pub forces: [Option<usize>; 2],
 }
 
 /// Field in gauss as the sensor's word; saturates at the ends of the range.
@@ -40,13 +41,19 @@ pub fn temperature_counts(warmer_k: f64) -> i16 {
 }
 
 impl SensorChannels {
-    /// Channels of those sensors in `numbers` whose field and both forces were recorded.
-    pub fn find(numbers: &[u32], layout: &ChannelLayout) -> Vec<Self> {
-        let force = |place: u32, axis: Axis| {
-            let wanted = ForceColumn::Force { sensor: place, axis };
+    /// Channels of those sensors in `numbers` whose field and forces were recorded; `forces` are those of the model of each.
+    pub fn find(numbers: &[u32], forces: &[ForcePair], layout: &ChannelLayout) -> Vec<Self> {
+        let channel = |(sensor, axis): (u32, Axis)| {
+            let wanted = ForceColumn::Force { sensor, axis };
             layout.forces.iter().position(|column| *column == wanted)
         };
-        let channels = numbers.iter().enumerate().filter_map(|(table, &number)| {
+        let sensors = numbers.iter().zip(forces).enumerate();
+        let channels = sensors.filter_map(|(table, (&number, pair))| {
+            let forces = pair.map(|force| force.and_then(channel));
+            let recorded = forces.iter().flatten().count();
+            if recorded == 0 || recorded < pair.iter().flatten().count() {
+                return None;
+            }
             Some(Self {
                 table,
                 number,
@@ -54,7 +61,7 @@ impl SensorChannels {
                 temperature: layout.hall.iter().position(|column| {
                     matches!(column, HallColumn::Temperature { sensor } if *sensor == number)
                 }),
-                forces: [force(number, Axis::X)?, force(number, Axis::Z)?],
+                forces,
             })
         });
         channels.collect()
@@ -63,6 +70,11 @@ impl SensorChannels {
     /// Field in a row, in gauss.
     pub fn field_g(&self, row: &RawRow) -> [f64; 3] {
         self.field.map(|channel| row.hall[channel])
+    }
+
+    /// Forces in a row in newtons; NaN for one that was not measured.
+    pub fn force_n(&self, row: &RawRow) -> [f64; 2] {
+        self.forces.map(|channel| channel.map_or(f64::NAN, |channel| row.forces[channel]))
     }
 
     /// Temperature word in a row; zero where the temperature was not recorded.
@@ -211,7 +223,7 @@ mod tests {
             number: 0,
             field: [0, 1, 2],
             temperature: None,
-            forces: [0, 1],
+            forces: [Some(0), Some(1)],
         };
         let row = RawRow { time_s: 0.0, hall: vec![2100.0, -2100.0, 0.25], forces: Vec::new() };
         assert_eq!(channels.reading(&row, 0.125).field, [16383, -16384, 2]);

@@ -20,6 +20,7 @@ use firmware::config::constants;
 use firmware::estimator::{Validity, estimate};
 use firmware::fixed_point::{Field, Force};
 use firmware::sensors::hall::{HallReading, SENSORS};
+use model_export::fit::rows::ForcePair;
 use model_export::gru::train::dataset::{SensorSequence, Sequence};
 use model_export::inverse::build::DeviceModel;
 use model_export::inverse::compensation::OwnedCompensation;
@@ -39,6 +40,8 @@ use crate::networks::NetworkSet;
 pub struct ReplayModels<'a> {
     /// Sensor numbers, in the order of the tables.
     pub numbers: &'a [u32],
+    /// Forces that each of them was fitted to.
+    pub forces: &'a [ForcePair],
     /// Fixed-point tables of the device.
     pub tables: &'a TableSet,
     /// Compensations of effects around the tables.
@@ -49,6 +52,8 @@ pub struct ReplayModels<'a> {
     pub float: Option<&'a [Grbf]>,
     /// Field per count, in gauss.
     pub gauss_per_lsb: f64,
+    /// Largest force of each axis in newtons, both signs.
+    pub force_range_n: f64,
     /// Recurrent networks on top of the tables.
     pub networks: Option<&'a NetworkSet>,
 }
@@ -58,11 +63,13 @@ impl<'a> ReplayModels<'a> {
     pub fn of(built: &'a DeviceModel) -> Self {
         Self {
             numbers: &built.header.sensors,
+            forces: &built.header.forces,
             tables: &built.chosen.tables,
             compensations: &built.compensations,
             design: built.model.design.as_ref(),
             float: None,
             gauss_per_lsb: built.model.sensor_scale.gauss_per_lsb,
+            force_range_n: built.model.force_range_n(),
             networks: None,
         }
     }
@@ -75,7 +82,14 @@ impl<'a> ReplayModels<'a> {
 
     /// The rows of a recording as inputs of these models.
     pub fn rows(&self, stream: RawStream) -> RecordedRows {
-        RecordedRows::new(stream, self.numbers, self.design, self.gauss_per_lsb)
+        let channels = self.channels(stream.layout());
+        RecordedRows::new(stream, channels)
+    }
+
+    /// Channels of these models in a layout.
+    pub fn channels(&self, layout: &ChannelLayout) -> InputChannels {
+        let sensors = (self.numbers, self.forces);
+        InputChannels::find(layout, sensors, self.design, self.gauss_per_lsb)
     }
 }
 
@@ -105,15 +119,15 @@ pub struct InputChannels {
 }
 
 impl InputChannels {
-    /// `numbers` are the sensors of the tables; those without a field or a force in the layout are left out.
+    /// Of the sensors of the tables, each with the forces of its model; those without a field or a force in the layout are left out.
     pub fn find(
         layout: &ChannelLayout,
-        numbers: &[u32],
+        (numbers, forces): (&[u32], &[ForcePair]),
         design: Option<&NominalDesign>,
         gauss_per_lsb: f64,
     ) -> Self {
         Self {
-            sensors: SensorChannels::find(numbers, layout),
+            sensors: SensorChannels::find(numbers, forces, layout),
             covariates: CovariateChannels::find(layout, design),
             gauss_per_lsb,
         }
@@ -158,14 +172,8 @@ pub struct RecordedRows {
 }
 
 impl RecordedRows {
-    /// `numbers` are the sensors of the tables; those without a field or a force in the recording are left out.
-    pub fn new(
-        stream: RawStream,
-        numbers: &[u32],
-        design: Option<&NominalDesign>,
-        gauss_per_lsb: f64,
-    ) -> Self {
-        let channels = InputChannels::find(stream.layout(), numbers, design, gauss_per_lsb);
+    /// The rows of a stream through its `channels`.
+    pub fn new(stream: RawStream, channels: InputChannels) -> Self {
         let ratio = stream.period_us() / TICK_US;
         // The cast saturates, and the clock of a single row has no period.
         let rows_per_tick = if ratio > 0.0 { (1.0 / ratio).round() as usize } else { 1 };
@@ -281,7 +289,7 @@ pub fn training_sequence(
             let ideal_n = estimate.force.map(|force: Force| force.newtons() as f32);
             track.ideal_n.push(ideal_n);
             track.parity_residual_g.push(gauss(estimate.parity.residual));
-            let truth = channels.forces.map(|force| row.raw.forces[force]);
+            let truth = channels.force_n(&row.raw);
             let has_target = row.at_reference_row && truth.iter().all(|n| n.is_finite());
             if has_target && estimate.validity == Validity::Valid {
                 track.truth_n.push((rows, truth.map(|n| n as f32)));

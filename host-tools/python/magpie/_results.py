@@ -132,7 +132,7 @@ class Fit(_Result):
     held_out_rms_g: float
     """Error of the field on held-out rows, RMS over all channels, in gauss."""
     force: ForceError | None
-    """None with a polynomial, which has no inverse."""
+    """None with a polynomial that has no inverse."""
 
     def _rows(self) -> list[dict[str, Any]]:
         return self.data["axes"]
@@ -235,7 +235,8 @@ class Edit(_Result):
 
     model: Model
     force: tuple[ForceError, ForceError] | None
-    """Before and after; None where the device cannot compute them: of a polynomial, or for the reason in `notes`."""
+    """Before and after; None where the device cannot compute them: of a polynomial that has no inverse, or for the reason in
+    `notes`."""
 
     def _rows(self) -> list[dict[str, Any]]:
         return self.data["effects"]

@@ -8,7 +8,7 @@ use std::sync::{Mutex, PoisonError};
 use anyhow::{Context, Result, anyhow, bail};
 use device_run::channel_map::SensorChannels;
 use device_run::networks::NetworkSet;
-use device_run::{DeviceRow, InputChannels, RecordedRows, ReplayModels};
+use device_run::{DeviceRow, RecordedRows, ReplayModels};
 use firmware::compensation::Compensation;
 use firmware::config::constants;
 use firmware::estimator::{Estimator, Validity};
@@ -18,7 +18,7 @@ use model_export::inverse::build::{DeviceModel, ModelVariant, build};
 use model_export::inverse::compensation::OwnedCompensation;
 use model_export::recordings::align::Alignment;
 use model_export::recordings::columns::{
-    Axis, ChannelLayout, FieldUnit, ForceColumn, HallColumn, hall_column,
+    ChannelLayout, FieldUnit, ForceColumn, HallColumn, hall_column,
 };
 use model_export::recordings::stream::{RawRow, RawStream};
 use numpy::{PyArray1, PyReadonlyArray1, ToPyArray};
@@ -291,12 +291,10 @@ fn rows<'a>(
             }
         }
     }
-    let force = |axis| move |&sensor: &u32| ForceColumn::Force { sensor, axis };
-    let forces = [Axis::X, Axis::Z].map(force);
-    let forces = forces.iter().flat_map(|force| models.numbers.iter().map(force)).collect();
+    let forces = models.forces.iter().flatten().flatten();
+    let forces = forces.map(|&(sensor, axis)| ForceColumn::Force { sensor, axis }).collect();
     let layout = ChannelLayout { hall, forces };
-    let channels =
-        InputChannels::find(&layout, models.numbers, models.design, models.gauss_per_lsb);
+    let channels = models.channels(&layout);
     if let Some(number) =
         models.numbers.iter().find(|number| layout.field_channels(**number).is_none())
     {

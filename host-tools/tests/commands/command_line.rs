@@ -1,5 +1,6 @@
 //! The command line: exit codes, output formats, error messages, reproducibility.
 
+use serde_json::Value;
 use tests::campaign_copy::CampaignCopy;
 use tests::{data, real_data};
 
@@ -147,14 +148,61 @@ fn swapped_arguments_report_the_expected_order() {
     assert!(message.contains("the order is MODEL CAMPAIGN"), "{message}");
 }
 
+/// A number of the force error in a result.
+fn force(json: &Value, key: &str) -> f64 {
+    json["force"][key].as_f64().unwrap_or_else(|| panic!("{json}"))
+}
+
 #[test]
-fn export_of_a_polynomial_model_fails() {
-    let dir = WorkDir::empty();
-    let polynomial = ["--base", "polynomial", "--degree", "3", "-o", "model.toml"];
-    dir.stdout(&[&["fit", &campaign("clean")], &polynomial[..]].concat());
-    let message = dir.failure("export model.toml -o tables.rs");
-    assert!(message.contains("a polynomial of the forces has no unique inverse"), "{message}");
-    assert!(!dir.path("tables.rs").exists());
+fn polynomial_of_two_forces_gives_newtons_and_tables() {
+    let (dir, clean) = (WorkDir::empty(), campaign("clean"));
+    let polynomial = ["--base", "polynomial", "--degree", "3", "-o", "model.toml", "--json"];
+    let fit = dir.json(&[&["fit", &clean], &polynomial[..]].concat());
+    // The bench has no effect but noise.
+    let rms_n = force(&fit, "rms_n");
+    assert!(rms_n > 0.0 && rms_n < 1.1 * force(&fit, "noise_n"), "{fit}");
+    let comparison = dir.json(&["compare", "model.toml", &clean, "--json"]);
+    assert_eq!(force(&comparison, "rms_n"), rms_n);
+    let add = ["add", "model.toml", &clean, "sensor_temperature", "-o", "better.toml"];
+    let added = text(&dir.stdout(&add));
+    assert!(added.contains("sensor_temperature runs on the device: yes."), "{added}");
+    let replay = dir.json(&["replay", "better.toml", &clean, "--json"]);
+    assert!(force(&replay, "rms_n") < 1.1 * force(&replay, "noise_n"), "{replay}");
+    assert_eq!(
+        (replay["sensors"].as_array().unwrap().len(), &replay["nominal"]),
+        (8, &Value::Null)
+    );
+    dir.stdout("export better.toml -o tables.rs");
+    assert!(dir.read("tables.rs").contains("SensorTemperature"));
+    let message = dir.failure("export better.toml --nominal -o nominal.rs");
+    assert!(message.contains("a polynomial of the forces has no nominal design"), "{message}");
+}
+
+#[test]
+fn force_that_was_not_recorded_is_assumed_to_be_zero() {
+    let lateral = CampaignCopy::new().change(&[1, 2, 3], "force.csv", |table| {
+        (0..4).for_each(|sensor| table.remove(&format!("f{sensor}_z_n")));
+    });
+    let (dir, lateral) = (WorkDir::empty(), lateral.path().display().to_string());
+    for base in ["cylinder", "polynomial"] {
+        let fit = ["fit", &lateral, "--base", base, "-o", "model.toml"];
+        let output = dir.run(&fit[..]);
+        let notes = text(&output.stderr);
+        assert!(notes.contains("f0_z_n was not recorded: for sensor 0 the force"), "{notes}");
+        assert!(text(&output.stdout).contains("Force error (held out"), "{notes}");
+        let replay = dir.json(&["replay", "model.toml", &lateral, "--json"]);
+        let sensors = replay["sensors"].as_array().unwrap();
+        assert_eq!(sensors.len(), 4);
+        assert!(sensors.iter().all(|sensor| sensor["axis"] == "x"), "{replay}");
+        let comparison = dir.json(&["compare", "model.toml", &lateral, "--json"]);
+        assert_eq!(comparison["forces"].as_array().unwrap().len(), 4);
+        dir.stdout(&["export", "model.toml", "-o", &format!("{base}.rs")]);
+        let model = dir.read("model.toml");
+        match base {
+            "cylinder" => assert!(model.contains("assumed_zero = [\"z\"]"), "{model}"),
+            _ => assert!(model.contains("forces = [\"f0_x_n\"]"), "{model}"),
+        }
+    }
 }
 
 #[test]
@@ -179,6 +227,9 @@ fn real_lattice_measurements_are_imported_and_fitted() {
     // Residual of a polynomial of the force over all fifteen channels: 71 ± 3 uT.
     let microtesla = 100.0 * fit["held_out_rms_g"].as_f64().unwrap();
     assert!((68.0..=74.0).contains(&microtesla), "{microtesla} uT");
+    // Of 34 N; the lattice has hysteresis and drift.
+    let rms_n = force(&fit, "rms_n");
+    assert!((1.0..=2.5).contains(&rms_n), "{rms_n} N");
     let message = dir.failure(&["import", &mapping, a, "-o", "eflesh"]);
     assert!(message.contains("an import never overwrites"), "{message}");
 }

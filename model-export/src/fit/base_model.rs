@@ -8,6 +8,7 @@ use crate::fit::parameters::{
     with_values,
 };
 use crate::fit::polynomial::Polynomial;
+use crate::physics::sensor::CYLINDER_WEIGHTS;
 use crate::physics::{FieldResponse, ForwardModel, PhysicalState};
 use crate::recordings::columns::Axis;
 
@@ -27,6 +28,9 @@ pub trait BaseModel: Send + Sync {
 
     /// Stiffness of both flexures in N/mm; 1 where displacements are forces.
     fn stiffness(&self, values: &[f64]) -> [f64; 2];
+
+    /// Weights of the field axes in the inversion from field to forces.
+    fn inverse_weights(&self) -> Vector3<f64>;
 
     /// The field in gauss at each of many states.
     fn fields(&self, values: &[f64], states: &[PhysicalState]) -> Vec<Vector3<f64>>;
@@ -86,6 +90,10 @@ impl BaseModel for CylinderBase {
         [values[0], values[1]]
     }
 
+    fn inverse_weights(&self) -> Vector3<f64> {
+        CYLINDER_WEIGHTS
+    }
+
     fn fields(&self, values: &[f64], states: &[PhysicalState]) -> Vec<Vector3<f64>> {
         let model = self.model(values);
         model.fields_at(&model.frames(), states)
@@ -111,7 +119,7 @@ impl BaseModel for CylinderBase {
 }
 
 /// Polynomial of the forces for each field axis: displacements are forces in newtons here.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct PolynomialBase {
     polynomial: Polynomial,
     /// Gripper axis (0, 1, 2) of each force.
@@ -178,6 +186,10 @@ impl BaseModel for PolynomialBase {
 
     fn stiffness(&self, _: &[f64]) -> [f64; 2] {
         [1.0; 2]
+    }
+
+    fn inverse_weights(&self) -> Vector3<f64> {
+        Vector3::repeat(1.0)
     }
 
     fn fields(&self, values: &[f64], states: &[PhysicalState]) -> Vec<Vector3<f64>> {

@@ -12,7 +12,9 @@ use crate::fit::joint::{self, BaseFits, JointFit};
 use crate::fit::polynomial::{self, PolynomialFit};
 use crate::fit::rows::{SensorRows, own_forces};
 use crate::fit::{AxisScore, FitError, FitOptions, orientation};
+use crate::model_file::BaseKind;
 use crate::physics::{ForwardModel, SensorMounting};
+use crate::recordings::columns::Axis;
 use crate::recordings::description::NominalDesign;
 use crate::recordings::in_order;
 use crate::recordings::{Campaign, Location, Notice, Recording};
@@ -68,7 +70,7 @@ const SETTLED: f64 = 1.1;
 const CLEARLY: f64 = 0.01;
 
 impl FitSetup {
-    /// With the cylinder base, for every sensor with both forces recorded; the others are reported as notices.
+    /// With the cylinder base, for every sensor with a force recorded; the others, and forces that were not, are reported as notices.
     pub fn cylinder(campaign: &Campaign) -> Result<Self, FitError> {
         Self::cylinder_mounted(campaign, |_| None)
     }
@@ -101,17 +103,17 @@ impl FitSetup {
             rows.check_excitation(campaign)?;
             match known(rows.sensor) {
                 Some(mounting) => {
-                    orientation::check(campaign, rows.sensor, &nominal, mounting)?;
+                    orientation::check(campaign, rows, &nominal, mounting)?;
                     Ok((mounting, None))
                 }
-                None => orientation::find(campaign, rows.sensor, &nominal),
+                None => orientation::find(campaign, rows, &nominal),
             }
         }))?;
         let base = |mounting: &SensorMounting| {
             Arc::new(CylinderBase { nominal: mounting.nominal(&nominal) }) as Arc<dyn BaseModel>
         };
         let bases = mounted.iter().map(|(mounting, _)| base(mounting)).collect();
-        let mut notices = left_out(campaign, &rows);
+        let mut notices = left_out(campaign, &rows, BaseKind::Cylinder);
         let mounted = rows.into_iter().zip(mounted).map(|(rows, (mounting, notice))| {
             notices.extend(notice);
             rows.turned(mounting.orientation)
@@ -147,7 +149,7 @@ impl FitSetup {
                 FitError::ManyForces { place: Location::file(&campaign.folder), sensor: fit.sensor }
             })
         };
-        let notices = left_out(campaign, &rows);
+        let notices = left_out(campaign, &rows, BaseKind::Polynomial);
         Ok(Self {
             bases: polynomials.iter().zip(&rows).map(base).collect::<Result<_, _>>()?,
             rows,
@@ -296,8 +298,8 @@ impl FitSetup {
     }
 }
 
-/// What of the campaign is not fitted: sensors without both forces, and rows of a long campaign.
-fn left_out(campaign: &Campaign, rows: &[SensorRows]) -> Vec<Notice> {
+/// What of the campaign is not fitted: sensors without a force, forces that were not measured, and rows of a long campaign.
+fn left_out(campaign: &Campaign, rows: &[SensorRows], base: BaseKind) -> Vec<Notice> {
     let notice = |message| Notice { location: Location::file(&campaign.folder), message };
     let sensors = campaign.sensors().into_iter();
     let without = sensors.filter(|sensor| !rows.iter().any(|own| own.sensor == *sensor));
@@ -317,6 +319,7 @@ fn left_out(campaign: &Campaign, rows: &[SensorRows]) -> Vec<Notice> {
             "sensor {sensor} was not fitted, since f{sensor}_x_n and f{sensor}_z_n were not both recorded{place}"
         ))
     });
+    let of_forces = unmeasured(campaign, rows, base).into_iter().map(notice);
     let stride = rows.iter().map(|rows| rows.stride).max().unwrap_or(1);
     let of_rows = (stride > 1).then(|| {
         notice(format!(
@@ -325,7 +328,35 @@ fn left_out(campaign: &Campaign, rows: &[SensorRows]) -> Vec<Notice> {
             (stride as f64).sqrt()
         ))
     });
-    of_sensors.chain(of_rows).collect()
+    of_sensors.chain(of_forces).chain(of_rows).collect()
+}
+
+/// Forces at the places of sensors that their models are not fitted to, each with the consequence.
+fn unmeasured(campaign: &Campaign, rows: &[SensorRows], base: BaseKind) -> Vec<String> {
+    let mut sensors: BTreeMap<(u32, Axis), Vec<String>> = BTreeMap::new();
+    for rows in rows {
+        let Some((place, _)) = rows.forces.first() else { continue };
+        for force in own_forces(*place).into_iter().filter(|force| !rows.forces.contains(force)) {
+            sensors.entry(force).or_default().push(rows.sensor.to_string());
+        }
+    }
+    let sentence = |(force, sensors): ((u32, Axis), Vec<String>)| {
+        let (place, axis) = (force.0, force.1.letter());
+        let is_recorded = campaign.recordings.iter().any(|of| of.forces.contains_key(&force));
+        let why = if is_recorded { "is zero within its noise" } else { "was not recorded" };
+        let consequence = match base {
+            BaseKind::Cylinder => {
+                format!("stiffness_{axis} is not identifiable (?) and stays at the design's value")
+            }
+            BaseKind::Polynomial => format!("F{axis} is not estimated"),
+        };
+        let plural = if sensors.len() > 1 { "s" } else { "" };
+        format!(
+            "f{place}_{axis}_n {why}: for sensor{plural} {} the force along {axis} is assumed to be zero, and {consequence}; a force that acts along {axis} changes the field, and this error is part of that of the measured force",
+            sensors.join(", ")
+        )
+    };
+    sensors.into_iter().map(sentence).collect()
 }
 
 /// Fits the cylinder base without effects.
@@ -353,7 +384,7 @@ pub fn polynomial(
         .into_iter()
         .map(|(rows, fit)| (fit, rows))
         .unzip();
-    Ok((CampaignFits::Polynomial(fits), left_out(campaign, &rows)))
+    Ok((CampaignFits::Polynomial(fits), left_out(campaign, &rows, BaseKind::Polynomial)))
 }
 
 fn polynomials(

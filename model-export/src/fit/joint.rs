@@ -11,6 +11,7 @@ use crate::fit::rows::SensorRows;
 use crate::fit::sensor_fit::{self, SensorSolution, add_errors, held_out_errors};
 use crate::fit::{AxisScore, FitError, FitOptions};
 use crate::physics::SensorOrientation;
+use crate::recordings::columns::Axis;
 use crate::recordings::in_order;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
@@ -25,6 +26,8 @@ const MAX_VARIANCE_INFLATION: f64 = 10.0;
 pub struct SensorFit {
     /// Number of the sensor.
     pub sensor: u32,
+    /// Forces of the fitted rows.
+    pub forces: Vec<(u32, Axis)>,
     /// Its orientation.
     pub orientation: SensorOrientation,
     /// Base parameters, then those of each effect.
@@ -406,6 +409,7 @@ fn sensor_result(
     let size = derivatives.len();
     SensorFit {
         sensor: problem.rows.sensor,
+        forces: problem.rows.forces.clone(),
         orientation: problem.rows.orientation,
         base_count: problem.base_count,
         offset_confounded: (0..problem.offset_count)

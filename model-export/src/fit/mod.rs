@@ -49,7 +49,7 @@ pub enum FitError {
     #[error(transparent)]
     Recording(#[from] DataError),
     #[error(
-        "{place}: there is no [design] table, so the geometry is unknown; add it to recording.toml or to the mapping of the import (`cargo magpie import --help` shows one), or, to see errors and missing effects without tables for a board, fit with --base polynomial"
+        "{place}: there is no [design] table, so the geometry is unknown; add it to recording.toml or to the mapping of the import (`cargo magpie import --help` shows one), or, where it is unknown, fit with --base polynomial"
     )]
     NoDesign { place: Location },
     #[error(
@@ -91,7 +91,7 @@ pub enum FitError {
     #[error("{place}: {what}; {advice}")]
     Orientation { place: Location, what: String, advice: String },
     #[error(
-        "{place}: the force does not move beyond its noise: a constant load does not determine the response; record with a varying load, or, if this place is never loaded, fit with --base polynomial and without this column"
+        "{place}: the force does not move beyond its noise: a constant load does not determine the response; record with a varying load, or remove this column: the force is then assumed to be zero"
     )]
     ConstantForce { place: Location },
     #[error(

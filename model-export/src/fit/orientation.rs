@@ -24,6 +24,7 @@ use nalgebra::{Matrix3, SMatrix, Vector3};
 use rayon::prelude::*;
 
 use crate::fit::FitError;
+use crate::fit::rows::{SensorRows, own_forces};
 use crate::physics::{ForwardModel, SensorMounting, SensorOrientation};
 use crate::recordings::columns::Axis;
 use crate::recordings::{Campaign, Location, Notice, Recording};
@@ -55,19 +56,19 @@ const FORCE_UNITS_N: [(&str, f64); 5] =
     [("kN", 1e3), ("kgf", 9.806_65), ("lbf", 4.448_222), ("gf", 9.806_65e-3), ("mN", 1e-3)];
 const SAME_UNIT: f64 = 1.4;
 
-/// Checks every recording's columns for a `sensor` in this mounting against the nominal design.
+/// Checks every recording's columns for a sensor in this mounting against the nominal design.
 ///
 /// # Errors
 /// The first implausible column.
 pub fn check(
     campaign: &Campaign,
-    sensor: u32,
+    rows: &SensorRows,
     nominal: &ForwardModel,
     mounting: SensorMounting,
 ) -> Result<(), FitError> {
     let nominal = mounting.nominal(nominal);
-    let slopes = recorded_slopes(campaign, sensor);
-    check_slopes(campaign, sensor, &nominal, mounting.orientation, &slopes)
+    let slopes = recorded_slopes(campaign, rows);
+    check_slopes(campaign, rows, &nominal, mounting.orientation, &slopes)
 }
 
 /// Mounting of a sensor: the nominal one where it is plausible, else the only plausible one. A notice says where the sensor is
@@ -77,13 +78,14 @@ pub fn check(
 /// The first column that is implausible in the nominal mounting, where no other is plausible; several mountings are.
 pub fn find(
     campaign: &Campaign,
-    sensor: u32,
+    rows: &SensorRows,
     nominal: &ForwardModel,
 ) -> Result<(SensorMounting, Option<Notice>), FitError> {
-    let slopes = recorded_slopes(campaign, sensor);
+    let sensor = rows.sensor;
+    let slopes = recorded_slopes(campaign, rows);
     let check = |mounting: SensorMounting| {
         let nominal = mounting.nominal(nominal);
-        check_slopes(campaign, sensor, &nominal, mounting.orientation, &slopes)
+        check_slopes(campaign, rows, &nominal, mounting.orientation, &slopes)
     };
     let unknown = (0..2).find(|&force| slopes.iter().all(|(_, s)| s.per_newton[force].is_none()));
     let notice = |message| Notice { location: Location::file(&campaign.folder), message };
@@ -94,7 +96,7 @@ pub fn find(
     let is_plausible = |mounting: &SensorMounting| {
         let nominal = mounting.nominal(nominal);
         slopes.iter().all(|(recording, slopes)| {
-            Check::new(campaign, recording, sensor, &nominal, mounting.orientation, slopes)
+            Check::new(campaign, recording, rows, &nominal, mounting.orientation, slopes)
                 .is_plausible()
         })
     };
@@ -102,9 +104,21 @@ pub fn find(
         [false, true].map(|is_reversed| SensorMounting { orientation, is_reversed })
     });
     let found: Vec<SensorMounting> = mountings.filter(is_plausible).collect();
+    let is_measured = |force: usize| rows.forces.contains(&own_forces(sensor)[force]);
     match (found.as_slice(), unknown) {
-        ([mounting], _) if mounting.equals_column_error() => Err(with_reversed_magnet(error)),
+        ([mounting], _) if mounting.equals_column_error() => {
+            Err(with_advice(error, WITH_REVERSED_MAGNET))
+        }
         ([mounting], _) => Ok((*mounting, Some(notice(description(sensor, *mounting))))),
+        ([_, _, ..], Some(force)) if !is_measured(force) => {
+            let column = force_column(sensor, force);
+            Err(with_advice(
+                error,
+                &format!(
+                    "; or, if all columns are right, sensor {sensor} is not mounted as in the design: record {column}, too, which determines its orientation"
+                ),
+            ))
+        }
         ([_, _, ..], Some(force)) => Err(FitError::Orientation {
             place: Location::file(&campaign.folder).column(force_column(sensor, force)),
             what: format!(
@@ -118,15 +132,15 @@ pub fn find(
     }
 }
 
-/// The error of a column that a reversed magnet explains, too.
-fn with_reversed_magnet(error: FitError) -> FitError {
+/// Further advice for the error of a column that a reversed magnet explains, too.
+const WITH_REVERSED_MAGNET: &str = "; or, if all columns are right, the magnet sits the other way round on a turned sensor: give remanence_t the other sign in recording.toml";
+
+/// The error of a column with further advice.
+fn with_advice(error: FitError, further: &str) -> FitError {
     match error {
-        FitError::Orientation { place, what, advice } => FitError::Orientation {
-            place,
-            what,
-            advice: advice
-                + "; or, if all columns are right, the magnet sits the other way round on a turned sensor: give remanence_t the other sign in recording.toml",
-        },
+        FitError::Orientation { place, what, advice } => {
+            FitError::Orientation { place, what, advice: advice + further }
+        }
         other => other,
     }
 }
@@ -167,20 +181,21 @@ fn force_column(sensor: u32, force: usize) -> String {
 }
 
 /// The slopes of each recording in which the sensor has any.
-fn recorded_slopes(campaign: &Campaign, sensor: u32) -> Vec<(&Recording, Slopes)> {
-    let of = |recording| Some((recording, Slopes::of(campaign, recording, (sensor, sensor), 0)?));
+fn recorded_slopes<'a>(campaign: &'a Campaign, rows: &SensorRows) -> Vec<(&'a Recording, Slopes)> {
+    let places = (rows, rows.sensor);
+    let of = |recording| Some((recording, Slopes::of(campaign, recording, places, 0)?));
     campaign.recordings.iter().filter_map(of).collect()
 }
 
 fn check_slopes(
     campaign: &Campaign,
-    sensor: u32,
+    rows: &SensorRows,
     nominal: &ForwardModel,
     orientation: SensorOrientation,
     slopes: &[(&Recording, Slopes)],
 ) -> Result<(), FitError> {
     slopes.iter().try_for_each(|(recording, slopes)| {
-        let check = Check::new(campaign, recording, sensor, nominal, orientation, slopes);
+        let check = Check::new(campaign, recording, rows, nominal, orientation, slopes);
         check.rest_field()?;
         check.forces()
     })
@@ -203,19 +218,23 @@ impl Slopes {
     fn of(
         campaign: &Campaign,
         recording: &Recording,
-        (sensor, place): (u32, u32),
+        (rows, place): (&SensorRows, u32),
         delay: isize,
     ) -> Option<Self> {
-        let track = recording.sensors.get(&sensor)?;
-        let loads = [Axis::X, Axis::Z].map(|axis| recording.forces.get(&(place, axis)));
-        let [x, z] = loads;
-        let (x, z) = (x?, z?);
+        let track = recording.sensors.get(&rows.sensor)?;
+        let is_used = |force: &(u32, Axis)| place != rows.sensor || rows.forces.contains(force);
+        let loads = [Axis::X, Axis::Z]
+            .map(|axis| recording.forces.get(&(place, axis)).filter(|_| is_used(&(place, axis))));
+        let any = loads.into_iter().flatten().next()?;
+        // A force that was not measured is assumed to be zero.
+        let unloaded = vec![0.0; any.newtons.len()];
+        let [x, z] = loads.map(|load| load.map_or(&unloaded, |load| &load.newtons));
         let mut normal: Matrix3<f64> = Matrix3::zeros();
         let mut right: SMatrix<f64, 3, 3> = SMatrix::zeros();
         let mut squares: Vector3<f64> = Vector3::zeros();
         let (later, earlier) = (delay.max(0) as usize, (-delay).max(0) as usize);
         let fields = track.field_g.iter().skip(later);
-        let forces = x.newtons.iter().zip(&z.newtons).skip(earlier);
+        let forces = x.iter().zip(z).skip(earlier);
         for (field, (&fx, &fz)) in fields.zip(forces) {
             let (regressor, field) = (Vector3::new(1.0, fx, fz), Vector3::from(*field));
             if regressor.iter().chain(field.iter()).all(|value| value.is_finite()) {
@@ -225,7 +244,10 @@ impl Slopes {
             }
         }
         let count = normal[(0, 0)];
-        let largest_n = [Axis::X, Axis::Z].map(|axis| max_sigma_n(campaign, (place, axis)));
+        let largest_n = [0, 1].map(|i| {
+            let axis = [Axis::X, Axis::Z][i];
+            loads[i].map_or(0.0, |_| max_sigma_n(campaign, (place, axis)))
+        });
         let is_small = largest_n.map(|sigma_n| sigma_n <= MIN_FORCE_SIGMA_N);
         let moves = [Axis::X, Axis::Z].map(|axis| {
             let i = if axis == Axis::X { 1 } else { 2 };
@@ -320,6 +342,7 @@ fn unit_by_mistake(share: f64, axis: &str) -> String {
 struct Check<'a> {
     campaign: &'a Campaign,
     recording: &'a Recording,
+    rows: &'a SensorRows,
     sensor: u32,
     nominal: &'a ForwardModel,
     orientation: SensorOrientation,
@@ -332,13 +355,13 @@ impl<'a> Check<'a> {
     fn new(
         campaign: &'a Campaign,
         recording: &'a Recording,
-        sensor: u32,
+        rows: &'a SensorRows,
         nominal: &'a ForwardModel,
         orientation: SensorOrientation,
         slopes: &Slopes,
     ) -> Self {
         let slopes = slopes.turned(orientation);
-        Self { campaign, recording, sensor, nominal, orientation, slopes }
+        Self { campaign, recording, rows, sensor: rows.sensor, nominal, orientation, slopes }
     }
 
     /// Whether the field at rest and every slope agree with the design, and no forces explain the field better.
@@ -425,8 +448,17 @@ impl<'a> Check<'a> {
         let silent =
             |force: usize| !is_small[force] && shares[force].is_some() && !follows(own(force));
         if (silent(0) && follows(other(0))) || (silent(1) && follows(other(1))) {
+            let force = if silent(0) { 0 } else { 1 };
+            if self.slopes.is_small[1 - force] {
+                let [own, other] = [["x", "z"][force], ["x", "z"][1 - force]];
+                return self.force(
+                    force,
+                    format!("the field along {other} of sensor {} follows this force, and the field along {own} does not", self.sensor),
+                    &format!("rename the column to f{}_{other}_n if the force acts along {other}; else the field columns x and z are swapped: rename those", self.sensor),
+                );
+            }
             return self.force(
-                if silent(0) { 0 } else { 1 },
+                force,
                 format!("the field along x follows the force along z, and the field along z that along x, at sensor {}", self.sensor),
                 "the two force columns (or the two field columns) are swapped: rename them",
             );
@@ -479,7 +511,7 @@ impl<'a> Check<'a> {
 
     /// Fraction of the field's variance that the forces at a place explain, each `delay` rows before the field.
     fn explained_by(&self, place: u32, delay: isize) -> Option<f64> {
-        let slopes = Slopes::of(self.campaign, self.recording, (self.sensor, place), delay)?;
+        let slopes = Slopes::of(self.campaign, self.recording, (self.rows, place), delay)?;
         Some(slopes.turned(self.orientation).explained())
     }
 

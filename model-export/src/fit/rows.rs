@@ -27,6 +27,13 @@ pub struct SensorRows {
     pub stride: usize,
 }
 
+/// Mean and standard deviation of a force over all rows, and its noise, in newtons.
+struct ForceSpread {
+    mean_n: f64,
+    sigma_n: f64,
+    noise_n: f64,
+}
+
 /// Maximum number of rows of a campaign that are fitted: half an hour at 100 Hz. The parameters are then determined far better than
 /// any model is right.
 pub const MAX_ROWS: usize = 180_000;
@@ -65,12 +72,18 @@ pub fn check_forces(recording: &Recording) -> Result<(), FitError> {
 }
 
 impl SensorRows {
-    /// Rows of `sensor` with the lateral and longitudinal force at its own place.
+    /// Rows of `sensor` with the lateral and longitudinal force at its own place. One that no recording has, or that is zero
+    /// throughout, is left out: it is assumed to be zero.
     ///
     /// # Errors
-    /// One of the two forces was not recorded.
+    /// None of the two was recorded, or one of them in some of the recordings only.
     pub fn with_own_forces(campaign: &Campaign, sensor: u32) -> Result<Self, FitError> {
-        let forces = own_forces(sensor);
+        let own = own_forces(sensor);
+        let is_recorded = |force: &&(u32, Axis)| {
+            campaign.recordings.iter().any(|recording| recording.forces.contains_key(*force))
+        };
+        let recorded: Vec<(u32, Axis)> = own.iter().filter(is_recorded).copied().collect();
+        let forces = if recorded.is_empty() { own.to_vec() } else { recorded };
         for recording in &campaign.recordings {
             check_forces(recording)?;
             if let Some((_, axis)) =
@@ -83,7 +96,7 @@ impl SensorRows {
                 });
             }
         }
-        Self::collect(campaign, sensor, forces.to_vec())
+        Self::collect(campaign, sensor, forces)?.without_unloaded(campaign)
     }
 
     /// Rows of `sensor` with the recorded forces of its own place or, where there are none, with all forces
@@ -115,7 +128,31 @@ impl SensorRows {
                 axis: "x and z",
             });
         }
-        Self::collect(campaign, sensor, forces)
+        Self::collect(campaign, sensor, forces)?.without_unloaded(campaign)
+    }
+
+    /// Without the forces that are zero within their noise, where another one moves.
+    fn without_unloaded(self, campaign: &Campaign) -> Result<Self, FitError> {
+        let is_loaded = |force: usize| {
+            let ForceSpread { mean_n, sigma_n, noise_n } = self.spread(force);
+            mean_n.abs().max(sigma_n) > MIN_EXCITATION * noise_n
+        };
+        let forces = (0..self.forces.len()).filter(|force| is_loaded(*force));
+        let loaded: Vec<(u32, Axis)> = forces.map(|force| self.forces[force]).collect();
+        if loaded.is_empty() || loaded.len() == self.forces.len() {
+            return Ok(self);
+        }
+        Self::collect(campaign, self.sensor, loaded)
+    }
+
+    fn spread(&self, force: usize) -> ForceSpread {
+        let values =
+            || self.parts.iter().flat_map(|part| part.force_n.iter().map(move |row| row[force]));
+        let count = self.len() as f64;
+        let mean_n = values().sum::<f64>() / count;
+        let variance = values().map(|value| (value - mean_n).powi(2)).sum::<f64>() / count;
+        let noise_n = self.parts.iter().map(|part| part.force_noise_n[force]).fold(0.0, f64::max);
+        ForceSpread { mean_n, sigma_n: variance.sqrt(), noise_n }
     }
 
     fn collect(
@@ -172,13 +209,8 @@ impl SensorRows {
             }
         }
         for (i, (place, axis)) in self.forces.iter().enumerate() {
-            let values =
-                || self.parts.iter().flat_map(|part| part.force_n.iter().map(move |row| row[i]));
-            let count = self.len() as f64;
-            let mean = values().sum::<f64>() / count;
-            let variance = values().map(|value| (value - mean).powi(2)).sum::<f64>() / count;
-            let noise = self.parts.iter().map(|part| part.force_noise_n[i]).fold(0.0, f64::max);
-            if variance.sqrt() <= MIN_EXCITATION * noise {
+            let ForceSpread { sigma_n, noise_n, .. } = self.spread(i);
+            if sigma_n <= MIN_EXCITATION * noise_n {
                 let place = folder.clone().column(format!("f{place}_{}_n", axis.letter()));
                 return Err(FitError::ConstantForce { place });
             }
@@ -241,6 +273,14 @@ pub fn own_forces(sensor: u32) -> [(u32, Axis); 2] {
     [(sensor, Axis::X), (sensor, Axis::Z)]
 }
 
+/// Lateral and longitudinal force of a sensor by the place of its column; `None` for one that was not measured.
+pub type ForcePair = [Option<(u32, Axis)>; 2];
+
+/// The first lateral and the first longitudinal one of these forces.
+pub fn pair(forces: &[(u32, Axis)]) -> ForcePair {
+    [Axis::X, Axis::Z].map(|axis| forces.iter().copied().find(|(_, of)| *of == axis))
+}
+
 /// Fraction of rows in which an axis was saturated.
 fn saturated_share(campaign: &Campaign, sensor: u32) -> f64 {
     let fields = || {
@@ -283,15 +323,13 @@ impl RecordingRows {
                 values.all(f64::is_finite) && loads.len() == forces.len()
             })
             .collect();
-        let along = |axis| forces.iter().copied().find(|(_, of)| *of == axis);
-        let pair = [along(Axis::X), along(Axis::Z)];
         Self {
             time_s: usable.iter().map(|&i| recording.time_s[i]).collect(),
             force_n: usable.iter().map(|&i| load(i).collect()).collect(),
             field_g: usable.iter().map(|&i| Vector3::from(track.field_g[i])).collect(),
             field_noise_g: Vector3::from(track.noise_g) * recording.noise_gain,
             force_noise_n: loads.iter().map(|load| load.noise_n).collect(),
-            track: ExcitationSeries::new(recording, place, sensor, pair, &usable),
+            track: ExcitationSeries::new(recording, place, sensor, pair(forces), &usable),
         }
     }
 

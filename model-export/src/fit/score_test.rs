@@ -14,7 +14,7 @@ use crate::fit::initial_guess::{ShapeSearch, search_one};
 use crate::fit::joint::JointFit;
 use crate::fit::linearisation::{COLUMN_HEIGHT, Linearisation, NormalEquations};
 use crate::fit::problem::SensorProblem;
-use crate::fit::rows::SensorRows;
+use crate::fit::rows::{SensorRows, pair};
 use crate::fit::tall_products::{columns, gram, products};
 use crate::physics::sensor::force_per_field;
 use crate::physics::{FieldResponse, PhysicalState};
@@ -44,7 +44,7 @@ pub struct ScoreTest<'a> {
 pub struct CandidateScore {
     /// Held-out weighted squared residual of each fold: without the candidate, with it.
     pub folds: Vec<(f64, f64)>,
-    /// Held-out mean square of the force error that the residual causes in the device's inverse, in N^2 over all sensors and both
+    /// Held-out mean square of the force error that the residual causes in the device's inverse, in N^2 over all sensors and measured
     /// forces: without the candidate, with it.
     pub force_n2: [f64; 2],
     /// Explained sum of squares in units of the noise variance, over all sensors.
@@ -126,14 +126,19 @@ impl<'a> ScoreTest<'a> {
                     .map(|split| part_of(&split.folds(rows, 0.0), &linearisation));
                 let block = linearisation.places().map(place).collect();
                 let stiffness = problem.base.stiffness(&values[s]);
+                let weights = problem.base.inverse_weights();
+                let is_measured = pair(&rows.forces).map(|force| force.is_some());
                 let of_row = |(_, _, response): (usize, usize, &FieldResponse)| {
                     let per_newton = [
                         response.per_mm.column(0) / stiffness[0],
                         response.per_mm.column(2) / stiffness[1],
                     ];
                     // Without an inverse there is no force.
-                    force_per_field(&per_newton).unwrap_or_default()
-                        * Matrix3::from_diagonal(&problem.weights.map(|w| 1.0 / w))
+                    let mut to_force = force_per_field(&per_newton, weights).unwrap_or_default();
+                    for (axis, _) in is_measured.iter().enumerate().filter(|(_, is)| !**is) {
+                        to_force.row_mut(axis).fill(0.0);
+                    }
+                    to_force * Matrix3::from_diagonal(&problem.weights.map(|w| 1.0 / w))
                 };
                 let to_force = linearisation.responses().map(of_row).collect();
                 SensorScore::new(linearisation, block, parts, to_force)
@@ -596,7 +601,7 @@ impl SensorScore {
             HeldOut {
                 field: (without.0, with.0),
                 force_n2: (without.1, with.1),
-                forces: 2.0 / 3.0 * folds[k].entries.len() as f64,
+                forces: folds[k].forces(),
             }
         };
         (0..folds.len()).map(held_out).collect()
@@ -669,6 +674,12 @@ impl FoldRows {
             Self { entries, fixed, residual, to_force, fixed_n, residual_n, normals }
         };
         (0..count).map(of_fold).collect()
+    }
+
+    /// Number of measured forces in all rows.
+    fn forces(&self) -> f64 {
+        let rows = self.to_force.iter().flat_map(|of| [of.row(0).amax(), of.row(1).amax()]);
+        rows.filter(|largest| *largest > 0.0).count() as f64
     }
 
     /// With these columns, over all rows, appended.

@@ -2,15 +2,17 @@
 
 use std::path::Path;
 
+use serde::Serialize;
 use sha2::{Digest, Sha256};
 
 use crate::effects::{DeviceForm, Effect, EffectTerm, ErrorOrigin};
+use crate::fit::rows::ForcePair;
 use crate::input;
 use crate::inverse::compensation::{NotCompensable, OwnedCompensation, board_conditions};
 use crate::inverse::model_selection::{SelectedModels, select_models};
 use crate::inverse::quantise::TableOverflow;
-use crate::inverse::static_model::StaticModel;
-use crate::model_file::ModelFile;
+use crate::inverse::static_model::{StaticBase, StaticModel};
+use crate::model_file::{ModelFile, SensorModel};
 use crate::recordings::error::ErrorKind;
 use crate::recordings::recording::hex;
 use crate::recordings::{DataError, Location};
@@ -31,13 +33,31 @@ pub enum BuildError {
     #[error(transparent)]
     File(#[from] DataError),
     #[error(
-        "{place}: a polynomial of the forces has no unique inverse, so a board cannot run it; add [design] to every recording.toml of the campaign (gap, stiffnesses, magnet: `cargo magpie import --help` shows one) and fit again without --base"
+        "{place}: a polynomial of the forces has no nominal design; add [design] to every recording.toml of the campaign (gap, stiffnesses, magnet: `cargo magpie import --help` shows one) and fit again without --base"
     )]
-    Polynomial { place: Location },
+    NoNominalDesign { place: Location },
+    #[error("{place}: {why}")]
+    NotInvertible { place: Location, why: Box<NotInvertible> },
     #[error(transparent)]
     NotCompensable(#[from] NotCompensable),
     #[error("{place}: the tables cannot be built: {overflow}")]
     TableOverflow { place: Location, overflow: Box<TableOverflow> },
+}
+
+/// A model without an inverse from field to forces.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, thiserror::Error)]
+#[allow(missing_docs)] // The sentence of each variant is its documentation.
+pub enum NotInvertible {
+    #[error(
+        "the polynomial of sensor {sensor} has {forces} forces, and the device estimates at most one along each of x and z; record a force on each sensor, without further columns, and fit again"
+    )]
+    ForceCount { sensor: u32, forces: usize },
+    #[error(
+        "the field of sensor {sensor} does not determine the force in the fitted range, {range}: {} and {} give nearly the same field; record a range in which the field only rises or only falls, use another --degree, or remove the columns of this sensor",
+        loads[0],
+        loads[1]
+    )]
+    Ambiguous { sensor: u32, range: String, loads: [String; 2] },
 }
 
 /// Header of the generated file of tables.
@@ -57,6 +77,8 @@ pub struct ExportHeader {
     pub valid_from: Option<String>,
     /// Numbers of the sensors, in the order of the tables.
     pub sensors: Vec<u32>,
+    /// Lateral and longitudinal force that each of them was fitted to; `None` where it was not measured.
+    pub forces: Vec<ForcePair>,
 }
 
 /// All tables of a model for the device.
@@ -99,14 +121,8 @@ pub fn build_model(
     let numbers: Vec<u32> = model.sensors.iter().map(|sensor| sensor.number).collect();
     let (mut static_models, mut compensations) = (Vec::new(), Vec::new());
     for &number in &numbers {
-        let forward = match variant {
-            ModelVariant::Fitted => model.forward(number),
-            ModelVariant::Nominal => model.nominal(number),
-        };
-        let forward =
-            forward.ok_or_else(|| BuildError::Polynomial { place: Location::file(place) })?;
         let effects = effect_values(&model, &additions, number, recordings, place)?;
-        let rest = StaticModel::new(forward, &effects, recordings, model.table_state(number));
+        let rest = static_model(&model, &effects, number, variant, place)?;
         compensations.extend(OwnedCompensation::build(
             number,
             &rest,
@@ -159,6 +175,7 @@ pub fn build_model(
         campaign: model.provenance.campaign.clone(),
         recorded: model.provenance.recordings.iter().filter_map(|r| r.recorded.clone()).collect(),
         effects: additions.iter().map(|effect| effect.name().to_owned()).collect(),
+        forces: model.sensors.iter().map(SensorModel::force_pair).collect(),
         sensors: numbers,
     };
     let uncompensated = additions.iter().filter_map(|effect| match effect {
@@ -185,6 +202,64 @@ pub fn build_model(
         compensations,
         header,
     })
+}
+
+/// The model of one sensor with these effects that the tables invert.
+pub(super) fn static_model(
+    model: &ModelFile,
+    effects: &[(EffectTerm, Vec<f64>)],
+    number: u32,
+    variant: ModelVariant,
+    place: &Path,
+) -> Result<StaticModel, BuildError> {
+    let base = static_base(model, number, variant, place)?;
+    let recordings = model.provenance.recordings.len();
+    let rest = StaticModel::new(base, effects, recordings, model.table_state(number));
+    check_inverse(&rest, number, place)?;
+    Ok(rest)
+}
+
+fn static_base(
+    model: &ModelFile,
+    number: u32,
+    variant: ModelVariant,
+    place: &Path,
+) -> Result<StaticBase, BuildError> {
+    let forward = match variant {
+        ModelVariant::Fitted => model.forward(number),
+        ModelVariant::Nominal => model.nominal(number),
+    };
+    if let Some(forward) = forward {
+        return Ok(forward.into());
+    }
+    let place = Location::file(place);
+    if variant == ModelVariant::Nominal {
+        return Err(BuildError::NoNominalDesign { place });
+    }
+    let sensor = model.sensors.iter().find(|sensor| sensor.number == number);
+    let forces = sensor.map_or(0, |sensor| sensor.forces().len());
+    let why = Box::new(NotInvertible::ForceCount { sensor: number, forces });
+    let polynomial = model.force_polynomial(number);
+    polynomial.map(StaticBase::from).ok_or(BuildError::NotInvertible { place, why })
+}
+
+/// Refuses a field that does not determine the forces.
+fn check_inverse(model: &StaticModel, sensor: u32, place: &Path) -> Result<(), BuildError> {
+    let Some(loads) = model.ambiguous_loads() else {
+        return Ok(());
+    };
+    let region = model.region();
+    let joined = |text: &dyn Fn(usize) -> String| {
+        region.inputs().map(text).collect::<Vec<_>>().join(" and ")
+    };
+    let name = |axis: usize| ["Fx", "Fz"][axis];
+    let range = joined(&|axis| {
+        let (centre, half) = (region.centre_n[axis], region.half_n[axis]);
+        format!("{} {:.3} to {:.3} N", name(axis), centre - half, centre + half)
+    });
+    let loads = loads.map(|load| joined(&|axis| format!("{} {:.3} N", name(axis), load[axis])));
+    let why = Box::new(NotInvertible::Ambiguous { sensor, range, loads });
+    Err(BuildError::NotInvertible { place: Location::file(place), why })
 }
 
 /// "softening, as at the end of recording 3 (2026-03-02)".

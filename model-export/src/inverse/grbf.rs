@@ -6,7 +6,7 @@
 //! rounding errors.
 
 use crate::fit::tall_products::{columns, gram, products};
-use crate::inverse::static_model::{DesignBox, StaticModel, lattice};
+use crate::inverse::static_model::{DesignBox, ForceRegion, StaticModel};
 use crate::physics::sensor::force_per_field;
 use nalgebra::{DMatrix, Vector2, Vector3};
 use rand::{RngExt, SeedableRng};
@@ -23,7 +23,7 @@ pub const MAX_CENTRES_ACROSS: usize = 8;
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GrbfShape {
-    /// Centres are the fields of a lattice of this many loads along each axis; none: linear.
+    /// Centres are the fields of a lattice of this many loads along each axis ([`StaticModel::centre_fields`]); none: linear.
     pub centres_across: usize,
     /// Width: exp(-gamma d^2) over coordinates of -1 to 1.
     pub gamma: f64,
@@ -72,9 +72,10 @@ impl Grbf {
     ) -> Vec<Option<Self>> {
         let centres: Vec<Vector3<f64>> = match shape.centres_across {
             0 => Vec::new(),
-            n => lattice(design.force_n, n)
-                .map(|load| round(design.coordinates(&model.field(load))))
-                .collect(),
+            n => {
+                let fields = model.centre_fields(n).into_iter();
+                fields.map(|field| round(design.coordinates(&field))).collect()
+            }
         };
         let unsolved = Self {
             design: *design,
@@ -203,14 +204,12 @@ pub fn force_errors(
     ([0, 1].map(|axis| (squares[axis] / count).sqrt()), worst)
 }
 
-/// Offset of samples from the surface along the gap axis, in gauss.
-const OFF_SURFACE_G: f64 = 15.0;
 /// Range of training loads relative to the box, to avoid edge errors.
 const OVERRANGE: f64 = 1.08;
 
 /// A field and its forces. Without noise all fields of a sensor are on a surface, and an inverse of three axes
-/// would be undefined off it. So samples are also offset along the gap axis, with the forces of the nearest
-/// point on the surface. The gap axis has a low weight in that distance: temperature, a changed gap and a
+/// would be undefined off it. So samples are also offset from it ([`StaticModel::off_surface`]), with the forces of the nearest
+/// point on the surface. The gap axis of a magnet has a low weight in that distance: temperature, a changed gap and a
 /// neighbouring magnet act on it first.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FieldSample {
@@ -222,9 +221,13 @@ pub struct FieldSample {
 
 /// Training samples: a lattice of loads, on the surface and offset to both sides.
 pub fn training_samples(model: &StaticModel, design: &DesignBox) -> Vec<FieldSample> {
-    let loads: Vec<[f64; 2]> = lattice(design.force_n.map(|f| f * OVERRANGE), 25).collect();
-    let offsets = [-OFF_SURFACE_G, 0.0, OFF_SURFACE_G];
-    loads.iter().flat_map(|load| offsets.map(|by| sample(model, *load, by))).collect()
+    let at = |load: [f64; 2]| {
+        let offsets = model.off_surface(load);
+        let before = offsets.clone().into_iter().map(|offset| -offset);
+        let all = before.chain([Vector3::zeros()]).chain(offsets);
+        all.map(move |offset| sample(model, load, offset))
+    };
+    design.region.scaled(OVERRANGE).lattice(25).flat_map(at).collect()
 }
 
 /// Held-out samples: random loads in the box, with random offsets.
@@ -237,16 +240,19 @@ pub fn held_out_samples(
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     (0..count)
         .map(|_| {
-            let load = design.force_n.map(|limit| limit * rng.random_range(-1.0..=1.0));
-            sample(model, load, OFF_SURFACE_G * rng.random_range(-1.0..=1.0))
+            let load = design.region.at([(); 2].map(|()| rng.random_range(-1.0..=1.0)));
+            let offsets = model.off_surface(load).into_iter();
+            let offset = offsets.map(|offset| offset * rng.random_range(-1.0..=1.0)).sum();
+            sample(model, load, offset)
         })
         .collect()
 }
 
-fn sample(model: &StaticModel, load_n: [f64; 2], parity_residual_g: f64) -> FieldSample {
-    let mut field_g = model.field(load_n);
-    field_g.y += parity_residual_g;
-    FieldSample { field_g, force_n: nearest_forces(model, &field_g, load_n) }
+fn sample(model: &StaticModel, load_n: [f64; 2], offset_g: Vector3<f64>) -> FieldSample {
+    let field_g = model.field(load_n) + offset_g;
+    let is_nearest = model.has_normal_offsets();
+    let force_n = if is_nearest { load_n } else { nearest_forces(model, &field_g, load_n) };
+    FieldSample { field_g, force_n }
 }
 
 /// Step of the force from which on the nearest one is found.
@@ -257,7 +263,7 @@ pub fn nearest_forces(model: &StaticModel, field_g: &Vector3<f64>, start_n: [f64
     let mut force = Vector2::from(start_n);
     for _ in 0..6 {
         let (at_g, per_newton) = model.linearised(force.into());
-        let Some(inverse) = force_per_field(&per_newton) else {
+        let Some(inverse) = force_per_field(&per_newton, model.weights()) else {
             break;
         };
         let step = inverse * (field_g - at_g);
@@ -273,17 +279,17 @@ pub fn nearest_forces(model: &StaticModel, field_g: &Vector3<f64>, start_n: [f64
 /// Errors of an inverse over a lattice of loads.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ErrorMap {
-    /// Loads along each axis in newtons.
-    pub loads_n: Vec<f64>,
+    /// Lateral and longitudinal loads in newtons.
+    pub loads_n: [Vec<f64>; 2],
     /// Norm of the error in newtons; a row for each longitudinal load, a column for each lateral one.
     pub errors_n: Vec<Vec<f64>>,
 }
 
 impl ErrorMap {
-    /// Evaluates `inverse` on `across` by `across` loads up to `force_n`.
+    /// Evaluates `inverse` on `across` by `across` loads of a region of two forces.
     pub fn of(
         model: &StaticModel,
-        force_n: [f64; 2],
+        region: ForceRegion,
         across: usize,
         inverse: impl Fn(&Vector3<f64>) -> [f64; 2],
     ) -> Self {
@@ -291,9 +297,12 @@ impl ErrorMap {
             let found = inverse(&model.field(load));
             (found[0] - load[0]).hypot(found[1] - load[1])
         };
-        let errors: Vec<f64> = lattice(force_n, across).map(error).collect();
+        let errors: Vec<f64> = region.lattice(across).map(error).collect();
         Self {
-            loads_n: lattice(force_n, across).take(across).map(|load| load[0]).collect(),
+            loads_n: [0, 1].map(|axis| {
+                let of_axis = region.lattice(across).map(|load| load[axis]);
+                of_axis.step_by(if axis == 0 { 1 } else { across }).take(across).collect()
+            }),
             errors_n: errors.chunks(across).map(<[f64]>::to_vec).collect(),
         }
     }

@@ -5,8 +5,6 @@
 
 use std::ops::RangeInclusive;
 
-use firmware::config::constants;
-use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use crate::inverse::grbf::{
@@ -15,7 +13,7 @@ use crate::inverse::grbf::{
 };
 use crate::inverse::parity::ParitySurface;
 use crate::inverse::quantise::{TableOverflow, TableSet, representable};
-use crate::inverse::static_model::{DesignBox, StaticModel};
+use crate::inverse::static_model::{DesignBox, LINE_CENTRES, StaticModel};
 
 /// Seed of the validation samples.
 const SELECTION_SEED: u64 = 11;
@@ -175,23 +173,22 @@ impl InverseProblem<'_> {
             .map(|sensor| held_out_samples(sensor.model, &sensor.design, SAMPLES, SELECTION_SEED))
             .collect();
         let noise_n = noise_n(self.models);
-        // Error of a candidate over all sensors; `None` where the device cannot represent it.
-        let evaluate = |models: &[Grbf]| -> Option<f64> {
+        // Error of a candidate over all sensors, and whether its rounding is small; `None` where the device cannot represent it.
+        let evaluate = |models: &[Grbf]| -> Option<(f64, bool)> {
+            let mut is_rounded_well = true;
             let tables = self.tables(models).ok()?;
             let mut worst = 0.0_f64;
             for (sensor, validation) in self.sensors.iter().zip(&validation) {
                 let fixed = |field: &_| tables.force(sensor.index, field, self.gauss_per_lsb);
                 let float = float_samples(&models[sensor.index], &validation[..SAMPLES / 5]);
                 let (rounding, _) = force_errors(&float, fixed);
-                if rounding.iter().any(|rms| *rms > MAX_ROUNDING * noise_n) {
-                    return None;
-                }
+                is_rounded_well &= rounding.iter().all(|rms| *rms <= MAX_ROUNDING * noise_n);
                 let (rms, _) = force_errors(validation, fixed);
                 worst = worst.max(rms[0].hypot(rms[1]));
             }
-            Some(worst)
+            Some((worst, is_rounded_well))
         };
-        let candidates = |shape: GrbfShape| -> Vec<(GrbfShape, f64)> {
+        let candidates = |shape: GrbfShape| -> Vec<Candidate> {
             let fit = |s: &SensorData| {
                 Grbf::fit_ridges(s.model, &s.design, shape, &RIDGES, &s.training, representable)
             };
@@ -201,26 +198,31 @@ impl InverseProblem<'_> {
                     fitted.iter().map(|of| of[i].clone()).collect::<Option<_>>()?;
                 let models = self.of_each(models);
                 let shape = GrbfShape { ridge: *ridge, ..shape };
-                Some((shape, evaluate(&models)?))
+                let (error_n, is_rounded_well) = evaluate(&models)?;
+                Some(Candidate { shape, error_n, is_rounded_well })
             };
             RIDGES.iter().enumerate().filter_map(candidate).collect()
         };
-        let mut tried: Vec<(GrbfShape, f64)> = Vec::new();
+        let is_line = self.sensors.iter().all(|sensor| sensor.design.region.single().is_some());
+        let is_enough =
+            |one: &&Candidate| one.is_rounded_well && one.error_n <= TARGET_ERROR * noise_n;
+        let mut tried: Vec<Candidate> = Vec::new();
         for centres_across in CENTRES_ACROSS {
-            tried.par_extend(widths(centres_across).into_par_iter().flat_map_iter(candidates));
+            let shapes = widths(centres_across, is_line).into_par_iter();
+            tried.par_extend(shapes.flat_map_iter(candidates));
             // More centres would not be selected.
-            if tried.iter().any(|(_, error)| *error <= TARGET_ERROR * noise_n) {
+            if tried.iter().any(|one| is_enough(&one)) {
                 break;
             }
         }
-        let best = tried.iter().min_by(|a, b| a.1.total_cmp(&b.1));
-        let enough = tried.iter().filter(|(_, error)| *error <= TARGET_ERROR * noise_n);
-        let smallest = enough.min_by(|a, b| {
-            (a.0.centres_across, a.1)
-                .partial_cmp(&(b.0.centres_across, b.1))
+        let smallest = tried.iter().filter(is_enough).min_by(|a, b| {
+            (a.shape.centres_across, a.error_n)
+                .partial_cmp(&(b.shape.centres_across, b.error_n))
                 .unwrap_or(std::cmp::Ordering::Equal)
         });
-        smallest.or(best).map(|(shape, _)| *shape)
+        // The error contains that of rounding.
+        let best = tried.iter().min_by(|a, b| a.error_n.total_cmp(&b.error_n));
+        smallest.or(best).map(|one| one.shape)
     }
 }
 
@@ -242,12 +244,13 @@ impl SelectedModels {
     }
 }
 
-/// Noise of one reading over both forces, in newtons, root mean square over the sensors.
+/// Noise of one reading over the forces, in newtons, root mean square over the sensors.
 fn noise_n(models: &[StaticModel]) -> f64 {
     let square = |model: &StaticModel| {
-        let noise_n = |derivative: Vector3<f64>| constants::SENSOR_NOISE.value / derivative.norm();
-        let squares = model.per_newton([0.0; 2]).map(|one| noise_n(one).powi(2));
-        squares.iter().sum::<f64>()
+        let region = model.region();
+        let per_newton = model.per_newton(region.centre_n);
+        let noise_n = |axis: usize| model.noise_g() / per_newton[axis].norm();
+        region.inputs().map(|axis| noise_n(axis).powi(2)).sum::<f64>()
     };
     let sum: f64 = models.iter().map(square).sum();
     (sum / models.len().max(1) as f64).sqrt()
@@ -261,9 +264,19 @@ fn float_samples(model: &Grbf, samples: &[FieldSample]) -> Vec<FieldSample> {
     samples.iter().map(force).collect()
 }
 
-/// Candidates with one number of centres; the ridge is open.
-fn widths(centres_across: usize) -> Vec<GrbfShape> {
-    let spacing = 2.0 / (centres_across - 1) as f64;
+/// An evaluated shape.
+struct Candidate {
+    shape: GrbfShape,
+    /// Held-out error of the device's arithmetic in newtons.
+    error_n: f64,
+    /// Whether the rounding errors are below [`MAX_ROUNDING`].
+    is_rounded_well: bool,
+}
+
+/// Candidates with one number of centres on a lattice or on a line; the ridge is open.
+fn widths(centres_across: usize, is_line: bool) -> Vec<GrbfShape> {
+    let across = if is_line { LINE_CENTRES * centres_across } else { centres_across };
+    let spacing = 2.0 / (across - 1) as f64;
     let shape = |width: &f64| {
         let sigma = width * spacing;
         GrbfShape { centres_across, gamma: 0.5 / (sigma * sigma), ridge: f64::NAN }

@@ -10,7 +10,7 @@ use nalgebra::{DMatrix, DVector, Vector3};
 
 use crate::fit::cross_validation::off_plane_residual;
 use crate::inverse::quantise::TableOverflow;
-use crate::inverse::static_model::{DesignBox, StaticModel, lattice};
+use crate::inverse::static_model::{DesignBox, StaticModel};
 
 /// Lattice of loads for the fit, and its range relative to the box.
 const LOADS: usize = 33;
@@ -32,14 +32,16 @@ pub struct ParitySurface {
 }
 
 impl ParitySurface {
-    /// Fits the polynomial over the design box.
+    /// Fits the polynomial over the design box. The fields of one force are a curve: there is no surface, and all terms are zero.
     pub fn of(model: &StaticModel, design: &DesignBox) -> Self {
-        let rest = model.per_newton([0.0; 2]);
+        let rest = model.per_newton(design.region.centre_n);
         let axis = off_plane_residual(&rest, Vector3::zeros()).map_or(1, |(axis, _)| axis);
-        let fields: Vec<Vector3<f64>> = lattice(design.force_n.map(|f| f * OVERRANGE), LOADS)
-            .map(|load| model.field(load))
-            .collect();
+        let fields: Vec<Vector3<f64>> =
+            design.region.scaled(OVERRANGE).lattice(LOADS).map(|load| model.field(load)).collect();
         let mut own = Self { axis, terms_g: [0.0; PARITY_TERMS], fit_rms_g: 0.0, design: *design };
+        if design.region.single().is_some() {
+            return own;
+        }
         let rows = fields.iter().flat_map(|field| own.powers(field));
         let regressors = DMatrix::from_row_iterator(fields.len(), PARITY_TERMS, rows);
         let seen = DVector::from_iterator(fields.len(), fields.iter().map(|field| field[axis]));
@@ -71,7 +73,8 @@ impl ParitySurface {
         both.map(|(i, j)| u.powi(i as i32) * v.powi(j as i32)).collect()
     }
 
-    /// The device's table; `spread_g` is the standard deviation of the residual in the fit.
+    /// The device's table; `spread_g` is the standard deviation of the residual in the fit. Without a surface its sigma is zero, by
+    /// which the device knows no disturbance.
     pub fn table(
         &self,
         sensor: u32,
@@ -105,6 +108,8 @@ impl ParitySurface {
         }
         fit("the parity's polynomial", max_sum(&terms))?;
         let spread_g = spread_g.hypot(self.fit_rms_g).max(MIN_SPREAD_G);
+        let is_surface = self.design.region.single().is_none();
+        let spread_g = if is_surface { spread_g } else { 0.0 };
         let spread = spread_g * units * f64::from(1_u32 << PARITY_SIGMA_BITS);
         Ok(Parity { axis: self.axis as u8, terms, sigma: fit("sigma of the parity", spread)? })
     }

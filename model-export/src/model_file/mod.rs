@@ -18,6 +18,7 @@ use crate::input::{
 };
 use crate::inverse::codegen;
 use crate::inverse::grbf::{GrbfShape, MAX_CENTRES_ACROSS};
+use crate::inverse::static_model::ForcePolynomial;
 use crate::output::write_output;
 use crate::physics::{ForwardModel, SensorMounting};
 use crate::recordings::description::{NominalDesign, parse_toml};
@@ -78,15 +79,22 @@ pub enum BaseKind {
 }
 
 impl ModelFile {
-    /// Design force of each axis, either sign, in newtons; without a design the nominal gripper's.
+    /// Largest force of each axis, either sign, in newtons: that of the design, or of the forces that polynomials were fitted to.
     pub fn force_range_n(&self) -> f64 {
-        let design = self.design.as_ref();
-        design.map_or(FORCE_RANGE.value, NominalDesign::force_range_n)
+        let spans = self.sensors.iter().filter_map(|sensor| sensor.polynomial.as_ref());
+        let limits =
+            spans.flat_map(|table| &table.spans_n).map(|(low, high)| low.abs().max(high.abs()));
+        let fitted_n = limits.fold(0.0, f64::max);
+        match &self.design {
+            Some(design) => design.force_range_n(),
+            None if fitted_n > 0.0 => fitted_n,
+            None => FORCE_RANGE.value,
+        }
     }
 
     /// The model of a fit without effects.
     pub fn of(campaign: &Campaign, fits: &CampaignFits, provenance: Provenance) -> Self {
-        let (base, design, sensors) = match fits {
+        let (base, design, sensors): (_, _, Vec<SensorModel>) = match fits {
             CampaignFits::Cylinder(design, fit) => (
                 BaseKind::Cylinder,
                 Some(design.clone()),
@@ -100,7 +108,7 @@ impl ModelFile {
             format: FORMAT,
             base,
             provenance,
-            sensor_scale: SensorScale::of(campaign),
+            sensor_scale: SensorScale::of(campaign, base),
             design,
             inverse: None,
             sensors,
@@ -120,11 +128,13 @@ impl ModelFile {
             None => SensorModel::of_cylinder(fit, &fit.values),
             Some(start) => SensorModel::of_polynomial_with_effects(start, fit),
         };
+        let base =
+            if prepared.design.is_some() { BaseKind::Cylinder } else { BaseKind::Polynomial };
         Self {
             format: FORMAT,
-            base: if prepared.design.is_some() { BaseKind::Cylinder } else { BaseKind::Polynomial },
+            base,
             provenance,
-            sensor_scale: SensorScale::of(campaign),
+            sensor_scale: SensorScale::of(campaign, base),
             design: prepared.design.clone(),
             inverse: None,
             sensors: with_final_states(
@@ -278,6 +288,13 @@ impl ModelFile {
                         "repeat the fit",
                     );
                 }
+                if !sensor.orientation.is_nominal() {
+                    return bad(
+                        key("orientation"),
+                        sensor.orientation.to_string(),
+                        "remove it: a polynomial is of the sensor's own axes",
+                    );
+                }
                 continue;
             }
             for parameter in &PARAMETERS {
@@ -333,6 +350,20 @@ impl ModelFile {
         let sigma_g =
             sensor.and_then(|sensor| sensor.parity_residual_g.or_else(|| of_axis(sensor)));
         sigma_g.filter(|sigma_g| sigma_g.is_finite()).unwrap_or(0.0)
+    }
+
+    /// The polynomial of one sensor for its inversion; `None` where it has no force, or several along one axis.
+    pub fn force_polynomial(&self, number: u32) -> Option<ForcePolynomial> {
+        let sensor = self.sensors.iter().find(|sensor| sensor.number == number)?;
+        let floor = sensor.held_out.iter().map(|score| score.floor_g.powi(2)).sum::<f64>();
+        let floor_g = (floor / sensor.held_out.len().max(1) as f64).sqrt();
+        let rounding_g = self.sensor_scale.gauss_per_lsb / 12.0_f64.sqrt();
+        ForcePolynomial::new(sensor.polynomial()?, rounding_g.max(floor_g))
+    }
+
+    /// Whether the polynomial of every sensor can be inverted to one or two forces.
+    pub fn has_force_polynomials(&self) -> bool {
+        self.sensors.iter().all(|sensor| self.force_polynomial(sensor.number).is_some())
     }
 
     /// Mounting of a sensor; `None` for an unknown one. Its magnet is reversed where remanence and design differ in sign.
@@ -448,18 +479,40 @@ pub struct SensorScale {
     pub gauss_per_lsb: f64,
     /// Range of each axis in gauss, either sign.
     pub range_gauss: f64,
-    /// True where the recordings do not state it and the nominal sensor is assumed.
+    /// True where the recordings do not state it.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub assumed: bool,
 }
 
+/// Range of an assumed scale relative to the largest field: room for drift and for the fields of other loads.
+const SCALE_MARGIN: f64 = 1.5;
+
 impl SensorScale {
-    /// The scale stated in the recordings, or that of the A31301.
-    pub fn of(campaign: &Campaign) -> Self {
+    /// The scale stated in the recordings, or that of the A31301. A polynomial describes any sensor: where no scale is stated, its
+    /// scale is that of the A31301 by the power of two whose range contains the largest field of the campaign with a margin, so
+    /// that the device's integers resolve fields of microteslas.
+    pub fn of(campaign: &Campaign, base: BaseKind) -> Self {
         let description = campaign.recordings.first().map(|recording| &recording.description);
         let stated = description.and_then(|d| d.gauss_per_lsb.zip(d.range_gauss));
-        let (gauss_per_lsb, range_gauss) =
-            stated.unwrap_or((constants::SENSOR_SCALE.value, constants::SENSOR_RANGE.value));
+        let a31301 = (constants::SENSOR_SCALE.value, constants::SENSOR_RANGE.value);
+        let factor = match base {
+            BaseKind::Cylinder => 1.0,
+            BaseKind::Polynomial => {
+                scale_factor(SCALE_MARGIN * largest_field_g(campaign), a31301.1)
+            }
+        };
+        let (gauss_per_lsb, range_gauss) = stated.unwrap_or((factor * a31301.0, factor * a31301.1));
         Self { gauss_per_lsb, range_gauss, assumed: stated.is_none() }
     }
+}
+
+/// Least power of two by which `range_g` contains `needed_g`.
+fn scale_factor(needed_g: f64, range_g: f64) -> f64 {
+    if needed_g > 0.0 { (needed_g / range_g).log2().ceil().exp2() } else { 1.0 }
+}
+
+fn largest_field_g(campaign: &Campaign) -> f64 {
+    let sensors = campaign.recordings.iter().flat_map(|recording| recording.sensors.values());
+    let fields = sensors.flat_map(|track| track.field_g.iter().flatten());
+    fields.filter(|field| field.is_finite()).fold(0.0, |largest, field| largest.max(field.abs()))
 }

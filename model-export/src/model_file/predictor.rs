@@ -39,6 +39,8 @@ pub struct FieldPrediction {
     pub field_g: Vec<Vector3<f64>>,
     /// dB/dF in G/N: for each row one vector per force.
     pub per_newton: Vec<Vec<Vector3<f64>>>,
+    /// Weights of the field axes in the inversion to forces; zero where the device has no inverse.
+    pub weights: Vector3<f64>,
 }
 
 impl ModelFile {
@@ -211,6 +213,7 @@ impl Predictor {
                 }
             }
             PredictorBase::FromState { base, values } => {
+                prediction.weights = base.inverse_weights();
                 let [kx, kz] = base.stiffness(values);
                 let states = self.states(&part.track, [kx, kz]);
                 for response in base.responses(values, &states) {

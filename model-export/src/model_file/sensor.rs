@@ -9,6 +9,7 @@ use crate::effects::FinalState;
 use crate::fit::AxisScore;
 use crate::fit::joint::SensorFit;
 use crate::fit::polynomial::{Polynomial, PolynomialFit};
+use crate::fit::rows::{ForcePair, own_forces, pair};
 use crate::input::MAX_POLYNOMIAL_TERMS;
 use crate::model_file::digits;
 use crate::physics::SensorOrientation;
@@ -34,6 +35,10 @@ pub struct SensorModel {
     /// With the cylinder base: unidentifiable combinations, fixed at their nominal values.
     #[serde(rename = "held", default, skip_serializing_if = "Vec::is_empty")]
     pub unidentifiable: Vec<UnidentifiableCombination>,
+    /// With the cylinder base: forces that the campaign did not measure or did not excite. They are assumed to be zero, and their
+    /// stiffness is nominal.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub assumed_zero: Vec<Axis>,
     /// With the polynomial base: its coefficients.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub polynomial: Option<PolynomialTable>,
@@ -124,6 +129,11 @@ impl SensorModel {
                 .map(|i| (fit.parameters[i].name.clone(), value(i)))
                 .collect(),
             unidentifiable: fit.unidentifiable.iter().map(combination).collect(),
+            assumed_zero: own_forces(fit.sensor)
+                .into_iter()
+                .filter(|force| !fit.forces.contains(force))
+                .map(|(_, axis)| axis)
+                .collect(),
             polynomial: None,
             final_state: None,
         }
@@ -158,6 +168,7 @@ impl SensorModel {
             parity_residual_g: None,
             parameters: BTreeMap::new(),
             unidentifiable: Vec::new(),
+            assumed_zero: Vec::new(),
             polynomial: Some(PolynomialTable {
                 degree: model.degree,
                 forces: model
@@ -172,6 +183,22 @@ impl SensorModel {
             }),
             final_state: None,
         }
+    }
+
+    /// Forces that the model was fitted to; of the cylinder base those at the sensor's own place.
+    pub fn forces(&self) -> Vec<(u32, Axis)> {
+        match self.polynomial() {
+            Some(polynomial) => polynomial.forces,
+            None => {
+                let own = own_forces(self.number).into_iter();
+                own.filter(|(_, axis)| !self.assumed_zero.contains(axis)).collect()
+            }
+        }
+    }
+
+    /// The lateral and the longitudinal one of [`SensorModel::forces`].
+    pub fn force_pair(&self) -> ForcePair {
+        pair(&self.forces())
     }
 
     /// The polynomial; `None` if absent or inconsistent with its degree.

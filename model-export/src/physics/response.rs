@@ -4,7 +4,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 /// Reading and its derivatives, in the sensor's axes.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FieldResponse {
     /// Reading in gauss.
     pub field_g: Vector3<f64>,

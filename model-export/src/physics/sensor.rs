@@ -14,12 +14,25 @@ use crate::recordings::description::{MagnetAxis, NominalDesign};
 /// it is the most sensitive to temperature, gap changes and the neighbouring magnet.
 pub const GAP_WEIGHT: f64 = 0.01;
 
+/// The weights of all axes with [`GAP_WEIGHT`].
+pub const CYLINDER_WEIGHTS: Vector3<f64> = Vector3::new(1.0, GAP_WEIGHT, 1.0);
+
 /// Change of both forces with the field in N/G by the device's inverse, where the field changes by `[dB/dFx, dB/dFz]` in G/N: least
-/// squares with [`GAP_WEIGHT`]. `None` where the field does not determine both forces.
-pub fn force_per_field(per_newton: &[Vector3<f64>; 2]) -> Option<Matrix2x3<f64>> {
+/// squares with these weights of the axes. A force that the field does not depend on is no input and stays zero. `None` where the
+/// field does not determine the forces.
+pub fn force_per_field(
+    per_newton: &[Vector3<f64>; 2],
+    weights: Vector3<f64>,
+) -> Option<Matrix2x3<f64>> {
     let slopes = Matrix3x2::from_columns(per_newton);
-    let weighted = slopes.transpose() * Matrix3::from_diagonal(&Vector3::new(1.0, GAP_WEIGHT, 1.0));
-    Some((weighted * slopes).try_inverse()? * weighted)
+    let weighted = slopes.transpose() * Matrix3::from_diagonal(&weights);
+    let mut normal = weighted * slopes;
+    for axis in 0..2 {
+        if per_newton[axis] == Vector3::zeros() && per_newton[1 - axis] != Vector3::zeros() {
+            normal[(axis, axis)] = 1.0;
+        }
+    }
+    Some(normal.try_inverse()? * weighted)
 }
 
 /// Forward model of one sensor.

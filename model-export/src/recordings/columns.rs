@@ -2,12 +2,15 @@
 
 use std::collections::BTreeSet;
 
+use serde::{Deserialize, Serialize};
+
 use crate::recordings::error::{ErrorKind, closest_match};
 use crate::recordings::units::{column_unit, column_units};
 
 /// Axis of a field or a force. The magnet moves in the plane of `x` and `z`; `y` points across the gap, along
 /// the magnet's axis.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Axis {
     /// Lateral: grasping.
     X,

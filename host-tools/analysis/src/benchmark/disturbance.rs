@@ -53,12 +53,12 @@ pub fn evaluate_disturbance(
     };
     let source = match simulated(data) {
         Some(gripper) => RowSource::Simulated(Box::new(gripper)),
-        None => RowSource::Recorded(RecordedGripper::open(
+        None => RowSource::Recorded(Box::new(RecordedGripper::open(
             data.held_out.clone(),
             data.alignment,
             built,
             data.seed,
-        )?),
+        )?)),
     };
     let bar = progress::progress_bar("magnetic disturbances", 0);
     let counts = count_rows(&DeviceUnderTest { built, networks }, &source, hours, &bar)?;

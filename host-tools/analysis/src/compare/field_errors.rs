@@ -11,7 +11,7 @@ use crate::statistics::ErrorAccumulator;
 use anyhow::{Result, bail};
 use model_export::effects::excitation::LoadCycleCounter;
 use model_export::fit::cross_validation::noise_variance;
-use model_export::fit::rows::{RecordingRows, check_forces, own_forces};
+use model_export::fit::rows::{RecordingRows, check_forces};
 use model_export::model_file::{FieldPrediction, ModelFile};
 use model_export::physics::SensorOrientation;
 use model_export::physics::sensor::force_per_field;
@@ -127,10 +127,7 @@ fn sensors(
     let covariates = all_covariates(recording);
     for sensor in &model.sensors {
         let number = sensor.number;
-        let forces = match sensor.polynomial() {
-            Some(polynomial) => polynomial.forces,
-            None => own_forces(number).to_vec(),
-        };
+        let forces = sensor.forces();
         let has_forces = forces.iter().all(|force| recording.forces.contains_key(force));
         if recording.sensors.contains_key(&number) && has_forces {
             list.push(SensorEvaluation {
@@ -283,8 +280,13 @@ impl SensorEvaluation {
         }
         self.columns.push(place, &part.track, &own, &modelled.floor_g2, stride);
         let rows = own.iter().zip(&modelled.own.per_newton);
-        let forces: Option<Vec<_>> =
-            rows.map(|(residual, slopes)| as_forces(residual, slopes, part, white)).collect();
+        let forces: Option<Vec<_>> = rows
+            .map(|(residual, slopes)| {
+                let forces = self.forces.iter().map(|(_, axis)| *axis);
+                let slopes: Vec<_> = forces.zip(slopes.iter().copied()).collect();
+                as_forces(residual, &slopes, modelled.own.weights, part, white)
+            })
+            .collect();
         self.columns.push_forces(&forces.unwrap_or_default(), stride);
         let curve = |of: &[Vector3<f64>], axis: usize| {
             let values: Vec<f64> = of.iter().map(|field| field[axis]).collect();
@@ -301,23 +303,24 @@ impl SensorEvaluation {
     }
 }
 
-/// The residual of a row in gauss as the error of both forces that it causes in the device's inverse, and its squared noise, where
-/// the field depends on two forces. `white_g2` is the squared white noise of the field.
+/// The residual of a row in gauss as the error of the forces that it causes in the device's inverse, and its squared noise, where
+/// the device has one. `per_newton` is the derivative of the field to each measured force, `weights` are those of the field axes,
+/// `white_g2` is the squared white noise of the field.
 fn as_forces(
     residual_g: &Vector3<f64>,
-    per_newton: &[Vector3<f64>],
+    per_newton: &[(Axis, Vector3<f64>)],
+    weights: Vector3<f64>,
     part: &RecordingRows,
     white_g2: Vector3<f64>,
 ) -> Option<(Vector3<f64>, Vector3<f64>)> {
-    let slopes: &[Vector3<f64>; 2] = per_newton.try_into().ok()?;
-    let to_force = force_per_field(slopes)?;
+    let place = [Axis::X, Axis::Z].map(|axis| per_newton.iter().position(|(of, _)| *of == axis));
+    let slopes = place.map(|place| place.map_or_else(Vector3::zeros, |place| per_newton[place].1));
+    let to_force = force_per_field(&slopes, weights)?;
     let error_n = to_force * residual_g;
     let noise_n2 = to_force.component_mul(&to_force) * white_g2;
-    let reference_n2 = |force: usize| {
-        part.force_noise_n
-            .get(force)
-            .filter(|noise| noise.is_finite())
-            .map_or(0.0, |noise| noise.powi(2))
+    let reference_n2 = |axis: usize| {
+        let noise_n = place[axis].and_then(|place| part.force_noise_n.get(place));
+        noise_n.filter(|noise| noise.is_finite()).map_or(0.0, |noise| noise.powi(2))
     };
     Some((
         Vector3::new(error_n.x, 0.0, error_n.y),

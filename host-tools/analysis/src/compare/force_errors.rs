@@ -22,7 +22,7 @@ use model_export::effects::{EffectTerm, ErrorOrigin, ExcitationSeries};
 use model_export::fit::FitOptions;
 use model_export::fit::campaign::FitSetup;
 use model_export::fit::joint::JointFit;
-use model_export::fit::rows::{RecordingRows, own_forces};
+use model_export::fit::rows::RecordingRows;
 use model_export::inverse::build::{BuildError, DeviceModel, ModelVariant, build_model};
 use model_export::inverse::grbf::GrbfShape;
 use model_export::model_file::{ModelFile, Provenance};
@@ -274,7 +274,9 @@ fn build_tables(plan: &CvPlan, path: &Path) -> Result<FoldTables> {
             Ok(Ok(built))
         }
         Err(error) => match error.downcast_ref::<BuildError>() {
-            Some(BuildError::Polynomial { .. }) => Ok(Err(MissingForces::PolynomialBase)),
+            Some(BuildError::NotInvertible { why, .. }) => {
+                Ok(Err(MissingForces::NotInvertible((**why).clone())))
+            }
             Some(BuildError::NotCompensable(why)) => {
                 Ok(Err(MissingForces::NotCompensable(why.clone())))
             }
@@ -286,8 +288,16 @@ fn build_tables(plan: &CvPlan, path: &Path) -> Result<FoldTables> {
 /// Excitation of the sensors, recording by recording in their order, where a model corrects recordings by it.
 pub struct CampaignExcitation {
     /// Sensors with the load cycles so far; empty where nothing is corrected.
-    sensors: Vec<(u32, LoadCycleCounter)>,
+    sensors: Vec<SensorLoads>,
     before_s: f64,
+}
+
+/// The loads of one sensor so far.
+struct SensorLoads {
+    number: u32,
+    /// Forces of its model.
+    forces: Vec<(u32, Axis)>,
+    cycles: LoadCycleCounter,
 }
 
 /// Excitation of each sensor over one recording.
@@ -296,15 +306,19 @@ pub type RecordingExcitation = Vec<(u32, ExcitationSeries)>;
 impl CampaignExcitation {
     /// Of the sensors of these models.
     pub fn of<'m>(models: impl Iterator<Item = &'m FoldModel>) -> Self {
-        let mut numbers: Vec<u32> = models
+        let mut forces: Vec<(u32, Vec<(u32, Axis)>)> = models
             .filter(|fold| {
                 fold.additions.iter().any(|of| of.error_origin() != ErrorOrigin::Compensated)
             })
-            .flat_map(|fold| fold.model.sensors.iter().map(|sensor| sensor.number))
+            .flat_map(|fold| fold.model.sensors.iter().map(|of| (of.number, of.forces())))
             .collect();
-        numbers.sort_unstable();
-        numbers.dedup();
-        let sensors = numbers.into_iter().map(|number| (number, LoadCycleCounter::default()));
+        forces.sort_unstable();
+        forces.dedup_by_key(|(number, _)| *number);
+        let sensors = forces.into_iter().map(|(number, forces)| SensorLoads {
+            number,
+            forces,
+            cycles: LoadCycleCounter::default(),
+        });
         Self { sensors: sensors.collect(), before_s: 0.0 }
     }
 
@@ -323,11 +337,11 @@ impl CampaignExcitation {
         let recording = read(place)?;
         let position = (place, self.before_s);
         self.before_s += recording.span_s();
-        let series = self.sensors.iter_mut().filter_map(|(number, cycles)| {
-            let rows = RecordingRows::of(&recording, position, *number, &own_forces(*number))?;
+        let series = self.sensors.iter_mut().filter_map(|sensor| {
+            let rows = RecordingRows::of(&recording, position, sensor.number, &sensor.forces)?;
             let mut track = rows.track;
-            cycles.update(&mut track);
-            Some((*number, track))
+            sensor.cycles.update(&mut track);
+            Some((sensor.number, track))
         });
         Ok(series.collect())
     }
@@ -400,7 +414,9 @@ impl FoldReplay<'_> {
                         curves[1].push(row.estimate_n[axis]);
                     }
                 }
-                for (axis, channel) in sensor.channels.iter_mut().enumerate() {
+                let measured = sensor.channels.iter_mut().enumerate();
+                for (axis, channel) in measured.filter(|(axis, _)| !row.reference_n[*axis].is_nan())
+                {
                     let error = row.estimate_n[axis] - row.reference_n[axis];
                     if is_reducible {
                         channel.reducible.add(error);
@@ -429,7 +445,7 @@ impl FoldReplay<'_> {
             }
         }
         for sensors in &mut of_plans {
-            sensors.retain(|sensor| sensor.channels[0].errors.rows() > 0.0);
+            sensors.retain(|sensor| sensor.channels.iter().any(|of| of.errors.rows() > 0.0));
             sensors.iter_mut().for_each(SensorForces::sort);
         }
         Ok(of_plans)
@@ -487,7 +503,7 @@ fn add_noise_and_tare(segment: &mut [SensorForces], replayed: &RecordingReplay, 
     for (sensor, of) in segment.iter_mut().zip(&replayed.sensors) {
         sensor.number = of.number;
         for (channel, track) in sensor.channels.iter_mut().zip(&of.axes) {
-            let rows = channel.errors.rows() + channel.flagged.rows();
+            let rows = channel.rows();
             channel.noise = rows * track.noise_n * track.noise_n;
             if let (true, Some(tared)) = (whole, track.tared()) {
                 channel.tared = tared;
@@ -520,6 +536,10 @@ impl SensorForces {
 }
 
 impl Channel {
+    fn rows(&self) -> f64 {
+        self.errors.rows() + self.flagged.rows()
+    }
+
     fn count(&mut self, error_n: f64) {
         self.histogram.resize(FINE, 0);
         let place = (error_n / WIDEST_N + 1.0) / 2.0 * FINE as f64;
@@ -541,9 +561,10 @@ impl Channel {
 fn finish(channels: &[(u32, [Channel; 2])]) -> ForceEvaluation {
     let axes = [Axis::X, Axis::Z];
     let errors = channels.iter().flat_map(|(sensor, channels)| {
-        channels.iter().zip(axes).map(|(channel, axis)| {
+        let measured = channels.iter().zip(axes).filter(|(channel, _)| channel.rows() > 0.0);
+        measured.map(|(channel, axis)| {
             let error = channel.errors.statistics();
-            let rows = channel.errors.rows() + channel.flagged.rows();
+            let rows = channel.rows();
             let floor = (channel.noise / rows.max(1.0)).sqrt();
             let some = |moments: &Moments| (moments.rows() > 0.0).then(|| moments.rms());
             let reducible_rms = some(&channel.reducible).unwrap_or(error.rms);
@@ -569,9 +590,11 @@ fn finish(channels: &[(u32, [Channel; 2])]) -> ForceEvaluation {
         }
         rebinned(axes[axis], &fine)
     };
+    let is_measured =
+        |axis: &usize| channels.iter().any(|(_, channels)| channels[*axis].rows() > 0.0);
     ForceEvaluation {
         errors: errors.collect(),
-        histograms: vec![histogram(0), histogram(1)],
+        histograms: (0..2).filter(is_measured).map(histogram).collect(),
         ..ForceEvaluation::default()
     }
 }

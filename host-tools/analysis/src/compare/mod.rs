@@ -17,6 +17,7 @@ use crate::notes::Note;
 use crate::statistics::{ErrorStatistics, pooled_rms};
 use model_export::effects::ErrorOrigin;
 use model_export::fit::cross_validation::CvSplit;
+use model_export::inverse::build::NotInvertible;
 use model_export::inverse::compensation::NotCompensable;
 use model_export::model_file::{EffectModel, SensorScale};
 use model_export::recordings::columns::Axis;
@@ -223,10 +224,10 @@ pub enum Validation {
 }
 
 /// Why forces are missing.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub enum MissingForces {
-    /// A polynomial of the forces has no unique inverse.
-    PolynomialBase,
+    /// The field does not determine the forces.
+    NotInvertible(NotInvertible),
     /// The device cannot compensate an effect, for this reason.
     NotCompensable(NotCompensable),
     /// No row has both a valid estimate and the reference forces.

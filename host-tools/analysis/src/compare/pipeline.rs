@@ -137,8 +137,9 @@ pub(crate) fn model_findings(
         let campaign = source.campaign(places)?;
         let rows = model.sensors.iter().filter_map(|sensor| {
             let predictor = model.predictor(sensor.number, additions)?;
+            // Hypotheses on the force columns are of pairs.
             let rows = SensorRows::with_own_forces(&campaign, sensor.number).ok()?;
-            Some((rows.turned(sensor.orientation), predictor))
+            (rows.forces.len() == 2).then(|| (rows.turned(sensor.orientation), predictor))
         });
         let rows: Vec<(SensorRows, Predictor)> = rows.collect();
         let place_of = |recording: usize| {

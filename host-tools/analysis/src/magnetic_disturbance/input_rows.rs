@@ -7,6 +7,7 @@ use firmware::compensation::auxiliary_inputs::AuxiliaryInputs;
 use firmware::config::constants;
 use firmware::sensors::hall::{HallReading, SENSORS};
 use model_export::effects::REFERENCE_C;
+use model_export::fit::rows::ForcePair;
 use model_export::inverse::build::DeviceModel;
 use model_export::recordings::align::Alignment;
 use model_export::recordings::columns::{COVARIATES, ChannelLayout, HallColumn};
@@ -15,7 +16,7 @@ use model_export::recordings::stream::{RawRow, RawStream};
 use nalgebra::Vector3;
 
 use device_run::channel_map::{CovariateChannels, field_counts, temperature_counts};
-use device_run::{DeviceRow, RecordedRows};
+use device_run::{DeviceRow, InputChannels, RecordedRows};
 use sim::campaign::excitation::Excitation;
 use sim::campaign::gripper::CampaignGripper;
 use sim::campaign::recording::{RecordingSampler, SETTLING_S};
@@ -68,7 +69,7 @@ pub trait InputRows {
 /// Source of input rows.
 pub enum RowSource {
     /// One recording: the same rows in every run, with other magnets.
-    Recorded(RecordedGripper),
+    Recorded(Box<RecordedGripper>),
     /// New recordings of a simulated gripper, another one in every run.
     Simulated(Box<SimulatedGripper>),
 }
@@ -114,6 +115,7 @@ pub struct RecordedGripper {
     seconds: f64,
     seed: u64,
     numbers: Vec<u32>,
+    forces: Vec<ForcePair>,
     design: Option<NominalDesign>,
     gauss_per_lsb: f64,
 }
@@ -135,6 +137,7 @@ impl RecordedGripper {
             seconds: 0.0,
             seed,
             numbers: built.header.sensors.clone(),
+            forces: built.header.forces.clone(),
             design: built.model.design.clone(),
             gauss_per_lsb: built.model.sensor_scale.gauss_per_lsb,
         };
@@ -147,8 +150,10 @@ impl RecordedGripper {
 
     fn rows(&self) -> Result<RecordedInput> {
         let stream = RawStream::open_folder(&self.folder, self.alignment)?;
+        let sensors = (self.numbers.as_slice(), self.forces.as_slice());
         let design = self.design.as_ref();
-        let rows = RecordedRows::new(stream, &self.numbers, design, self.gauss_per_lsb);
+        let channels = InputChannels::find(stream.layout(), sensors, design, self.gauss_per_lsb);
+        let rows = RecordedRows::new(stream, channels);
         Ok(RecordedInput { rows, first_s: None })
     }
 }

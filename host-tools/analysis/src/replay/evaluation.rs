@@ -8,14 +8,13 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use anyhow::{Result, bail};
 use device_run::ReplayModels;
 use device_run::networks::NetworkSet;
-use firmware::config::constants;
 use model_export::effects::ErrorOrigin;
 use model_export::inverse::build::{DeviceModel, ModelVariant, build};
 use model_export::inverse::quantise::TableSet;
 use model_export::model_file::ModelFile;
 use model_export::recordings::align::Alignment;
 use model_export::recordings::campaign::recording_folders;
-use model_export::recordings::description::{NominalDesign, RecordingDescription};
+use model_export::recordings::description::RecordingDescription;
 use model_export::recordings::in_order;
 use model_export::recordings::recording::fingerprint;
 use model_export::recordings::recording::recording_name;
@@ -38,8 +37,8 @@ pub struct ReplayEvaluation {
     pub fitted: Vec<RecordingReplay>,
     /// Best linear model of the same fit.
     pub linear: Vec<RecordingReplay>,
-    /// Radial basis functions of the nominal design: the paper's ideal model.
-    pub nominal: Vec<RecordingReplay>,
+    /// Radial basis functions of the nominal design: the paper's ideal model; `None` with the polynomial base.
+    pub nominal: Option<Vec<RecordingReplay>>,
     /// Fitted functions without compensation, if the model has effects.
     pub uncompensated: Option<Vec<RecordingReplay>>,
     /// Fitted functions without networks, if there are networks.
@@ -70,7 +69,10 @@ pub fn evaluate(
     let uncompensated: Vec<Note> = uncompensated.collect();
     let DeviceModel { model: file, chosen: fitted, compensations, header, .. } = built;
     building.inc(1);
-    let nominal = build(model, ModelVariant::Nominal)?.chosen;
+    let nominal = match file.design {
+        Some(_) => Some(build(model, ModelVariant::Nominal)?.chosen),
+        None => None,
+    };
     building.finish_and_clear();
     let folders = recording_folders(campaign)?;
     let scale = file.sensor_scale;
@@ -91,11 +93,13 @@ pub fn evaluate(
     let variant = |tables, float, compensations, networks| ReplayInput {
         models: ReplayModels {
             numbers: &header.sensors,
+            forces: &header.forces,
             tables,
             compensations,
             design: file.design.as_ref(),
             float,
             gauss_per_lsb: scale.gauss_per_lsb,
+            force_range_n: file.force_range_n(),
             networks,
         },
         corrections: &[],
@@ -106,8 +110,8 @@ pub fn evaluate(
     let mut models = vec![
         variant(&fitted.tables, float, &compensations, networks.as_ref()),
         variant(&linear, None, &[], None),
-        variant(&nominal.tables, None, &[], None),
     ];
+    models.extend(nominal.iter().map(|nominal| variant(&nominal.tables, None, &[], None)));
     if !header.effects.is_empty() {
         models.push(variant(&fitted.tables, None, &[], None));
     }
@@ -122,18 +126,19 @@ pub fn evaluate(
     let corrections = corrections(campaign, &fold, alignment)?;
     let mut replayed = replay_all(&folders, &models, &corrections, alignment)?.into_iter();
     let mut next = || replayed.next().unwrap_or_default();
-    let (replayed, linear, nominal) = (next(), next(), next());
+    let (replayed, linear) = (next(), next());
+    let nominal = nominal.is_some().then(&mut next);
     let uncompensated = (!header.effects.is_empty()).then(&mut next);
     let without_networks = networks.as_ref().map(|_| next());
     let reducible = is_irreducible.then(&mut next);
     let sensors = || replayed.iter().flat_map(|recording| &recording.sensors);
     if sensors().count() == 0 {
         bail!(
-            "{}: no sensor of the model has its field and both its forces in these recordings",
+            "{}: no sensor of the model has its field and the forces of its model in these recordings",
             campaign.display()
         );
     }
-    if sensors().all(|sensor| sensor.axes[0].error.rows() == 0.0) {
+    if sensors().flat_map(|sensor| &sensor.axes).all(|axis| axis.error.rows() == 0.0) {
         bail!(
             "{}: no row has both a valid estimate and a measured force; if force.csv has forces, check the scale and unit of hall.csv, else replace it by the table of the reference sensor",
             campaign.display()
@@ -160,10 +165,7 @@ pub fn evaluate(
         origins: EffectOrigin::of(&file.effects),
         fitted: replayed,
         training_recordings: training_recordings(&folders, &file, networks.as_ref())?,
-        force_range_n: file
-            .design
-            .as_ref()
-            .map_or(constants::FORCE_RANGE.value, NominalDesign::force_range_n),
+        force_range_n: file.force_range_n(),
         notes,
     })
 }
@@ -310,7 +312,7 @@ impl PooledAxis {
     }
 }
 
-/// Every force of every sensor, pooled over the recordings.
+/// Every measured force of every sensor, pooled over the recordings.
 pub fn pooled(recordings: &[RecordingReplay]) -> Vec<PooledAxis> {
     let mut numbers: Vec<u32> =
         recordings.iter().flat_map(|r| r.sensors.iter().map(|s| s.number)).collect();
@@ -325,6 +327,7 @@ pub fn pooled(recordings: &[RecordingReplay]) -> Vec<PooledAxis> {
         .flat_map(|sensor| {
             [0, 1].map(|axis| PooledAxis { sensor, axis, recordings: axes(sensor, axis) })
         })
+        .filter(|pooled| pooled.recordings.iter().any(|axis| axis.is_measured))
         .collect()
 }
 

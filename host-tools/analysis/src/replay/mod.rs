@@ -8,7 +8,6 @@ pub mod tare;
 use std::time::{Duration, Instant};
 
 use firmware::compensation::{Compensation, CompensationState};
-use firmware::config::constants;
 use firmware::estimator::{Estimate, Estimator, Validity, estimate};
 use firmware::fixed_point::{Field, Force};
 use firmware::model::formats::Tables;
@@ -16,7 +15,6 @@ use firmware::sensors::hall::HallFrame;
 use model_export::inverse::compensation::OwnedCompensation;
 use model_export::inverse::grbf::{Grbf, GrbfLanes};
 use model_export::recordings::DataError;
-use model_export::recordings::description::NominalDesign;
 use model_export::recordings::noise::WhiteNoise;
 use model_export::recordings::stream::{RawRow, RawStream};
 use nalgebra::Vector3;
@@ -39,6 +37,8 @@ const INTERPOLATED_NOISE: f64 = 0.816_496_580_927_726;
 /// Errors of one force of one sensor over one recording, in newtons.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct AxisReplay {
+    /// Whether the model has this force, and the recording its reference; the rest is empty otherwise.
+    pub is_measured: bool,
     /// Device minus corrected reference, without the flagged rows.
     pub error: Moments,
     /// Device minus reference as recorded.
@@ -101,7 +101,7 @@ pub struct SensorReplay {
 pub struct RecordingReplay {
     /// Name of the recording.
     pub name: String,
-    /// Sensors whose two forces were recorded.
+    /// Sensors with a recorded force.
     pub sensors: Vec<SensorReplay>,
     /// Board rows.
     pub rows: u64,
@@ -144,7 +144,7 @@ pub struct ForceSample {
     pub sensor: usize,
     /// The board's clock in seconds.
     pub time_s: f64,
-    /// Interpolated reference in newtons, corrected for its errors: lateral, longitudinal.
+    /// Interpolated reference in newtons, corrected for its errors: lateral, longitudinal; NaN for a force that was not measured.
     pub reference_n: [f64; 2],
     /// The same as recorded.
     pub recorded_n: [f64; 2],
@@ -404,15 +404,17 @@ struct Evaluation<'a> {
 
 impl<'a> Evaluation<'a> {
     fn new(models: ReplayModels<'a>, name: &str, sensors: &[SensorChannels]) -> Self {
-        let range_n =
-            models.design.map_or(constants::FORCE_RANGE.value, NominalDesign::force_range_n);
+        let range_n = models.force_range_n;
         let tare = |channels: &SensorChannels| {
             let friction_n = friction_n(models.compensations, channels.number);
             [TareEstimator::new(range_n, friction_n); 2]
         };
         let sensor = |channels: &SensorChannels| SensorReplay {
             number: channels.number,
-            ..Default::default()
+            axes: channels
+                .forces
+                .map(|force| AxisReplay { is_measured: force.is_some(), ..AxisReplay::default() }),
+            ..SensorReplay::default()
         };
         Self {
             models,
@@ -437,8 +439,9 @@ impl<'a> Evaluation<'a> {
         (estimate, ideal, network): (&Estimate, &Estimate, Option<FloatForce>),
         (correction, is_flagged): (Option<SampleCorrection>, bool),
     ) -> Option<ForceSample> {
-        let recorded = channels.forces.map(|force| row.forces[force]);
-        if !recorded.iter().all(|n| n.is_finite()) {
+        let recorded = channels.force_n(row);
+        let is_measured = channels.forces.map(|force| force.is_some());
+        if (0..2).any(|axis| is_measured[axis] && !recorded[axis].is_finite()) {
             return None;
         }
         let reference = correction.map_or(recorded, |of| of.reference_n(recorded));
@@ -455,7 +458,7 @@ impl<'a> Evaluation<'a> {
                 FloatForce::over(network, axis, ideal_n[axis] + compensation)
             }))
         });
-        for axis in 0..2 {
+        for axis in (0..2).filter(|axis| is_measured[*axis]) {
             self.noises[i][axis].push(found[axis]);
             let replay = &mut self.result.sensors[i].axes[axis];
             if is_flagged {
@@ -504,7 +507,8 @@ impl<'a> Evaluation<'a> {
                 replay.tare = tare.map(|(mean, length)| (mean[axis], length));
                 replay.float_tare = float_tare.map(|(mean, _)| mean[axis]);
                 let own = noise[axis].estimate().unwrap_or(0.0);
-                let reference = force_noise[channels.forces[axis]].unwrap_or(0.0);
+                let channel = channels.forces[axis];
+                let reference = channel.and_then(|channel| force_noise[channel]).unwrap_or(0.0);
                 replay.noise_n = own.hypot(reference * INTERPOLATED_NOISE);
             }
         }

@@ -13,6 +13,8 @@ use crate::statistics::Moments;
 const UNLOADED: f64 = 1.0 / 250.0;
 /// Lower limit of that threshold in newtons: four standard deviations of a reference with 0.15 N of noise.
 const REFERENCE_N: f64 = 0.6;
+/// Upper limit of that threshold as a fraction of the range.
+const MAX_UNLOADED: f64 = 0.05;
 /// A tare that multiplies the error by this factor is reported.
 pub const TARE_HARM: f64 = 1.2;
 /// Maximum averaging time of a tare in seconds.
@@ -42,7 +44,7 @@ impl TareEstimator {
     /// For a sensor with a range of `range_n` newtons in each direction and the static friction `friction_n`.
     pub fn new(range_n: f64, friction_n: [f64; 2]) -> Self {
         Self {
-            unloaded_n: (UNLOADED * range_n).max(REFERENCE_N),
+            unloaded_n: (UNLOADED * range_n).max(REFERENCE_N.min(MAX_UNLOADED * range_n)),
             since_s: None,
             last_s: 0.0,
             estimates: Default::default(),

@@ -403,9 +403,7 @@ fn cross_validation(split: CvSplit, seen: usize, refitted: usize, all: usize) ->
 /// Why forces are missing.
 pub fn missing_forces(why: &MissingForces) -> String {
     match why {
-        MissingForces::PolynomialBase => {
-            "a polynomial of the forces has no unique inverse; the device requires a model with the cylinder base".to_owned()
-        }
+        MissingForces::NotInvertible(why) => why.to_string(),
         MissingForces::NotCompensable(why) => why.to_string(),
         MissingForces::NoValidRow => {
             "no row has both a valid estimate and the reference forces".to_owned()

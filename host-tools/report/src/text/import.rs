@@ -37,7 +37,7 @@ pub fn format_import(imported: &ImportedCampaign, mapping: &Path, output: &Path)
     let mut next = String::new();
     let base = if imported.campaign.design().is_some() { "" } else { " --base polynomial" };
     if !base.is_empty() {
-        next += "Without [design] in the mapping a polynomial shows errors and missing effects, but a board cannot run it; with \
+        next += "Without [design] in the mapping the base is a polynomial of the forces; with \
                  [design] (see --help), import again and fit without --base.\n";
     }
     next += &if imported.is_refused() {

@@ -3,6 +3,7 @@
 use analysis::notes::{Note, UncompensatedEffect};
 use model_export::inverse::compensation::DeviceSupport;
 
+use crate::text::comparison::missing_forces;
 use crate::text::findings;
 
 /// The note as a sentence, without a full stop.
@@ -49,6 +50,7 @@ pub fn text(note: &Note) -> String {
         ),
         Note::Uncompensated(effect) => uncompensated(effect),
         Note::NotCompensable(error) => error.to_string(),
+        Note::NoForces(why) => format!("no force error: {}", missing_forces(why)),
         Note::MissingInputs { estimates, effects } => format!(
             "{estimates} estimates lack the compensation of an effect, because its input column was not recorded; effects of the model: {}",
             effects.join(", ")

@@ -197,14 +197,15 @@ fn model_table(evaluation: &ReplayEvaluation) -> String {
     let (fitted, linear, nominal) = (
         pooled(evaluation.without_networks.as_ref().unwrap_or(&evaluation.fitted)),
         pooled(&evaluation.linear),
-        pooled(&evaluation.nominal),
+        evaluation.nominal.as_deref().map(pooled),
     );
-    for ((fitted, linear), nominal) in fitted.iter().zip(&linear).zip(&nominal) {
+    for (place, (fitted, linear)) in fitted.iter().zip(&linear).enumerate() {
+        let nominal = nominal.as_ref().and_then(|nominal| nominal.get(place));
         table.add_row([
             fitted.sensor.to_string(),
             FORCES[fitted.axis].0.to_owned(),
-            rms_or_dash(Some(nominal.sum(|track| track.error))),
-            rms_or_dash(nominal.tared()),
+            rms_or_dash(nominal.map(|nominal| nominal.sum(|track| track.error))),
+            rms_or_dash(nominal.and_then(PooledAxis::tared)),
             rms_or_dash(Some(linear.sum(|track| track.error))),
             rms_or_dash(linear.tared()),
             rms_or_dash(Some(fitted.sum(|track| track.error))),
@@ -234,7 +235,10 @@ pub fn to_json(evaluation: &ReplayEvaluation) -> Value {
             })
         }).collect::<Vec<_>>(),
         "linear": pooled(&evaluation.linear).iter().map(sensor_json).collect::<Vec<_>>(),
-        "nominal": pooled(&evaluation.nominal).iter().map(sensor_json).collect::<Vec<_>>(),
+        "nominal": evaluation
+            .nominal
+            .as_deref()
+            .map(|nominal| pooled(nominal).iter().map(sensor_json).collect::<Vec<_>>()),
         "force": force(evaluation),
         "force_origins": force_error::origins(&force(evaluation), &evaluation.origins),
         "uncompensated_force": evaluation

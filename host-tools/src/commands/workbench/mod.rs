@@ -446,10 +446,8 @@ impl Choice {
         ] {
             commands.push(line(&[&words[..], delay, seed].concat()));
         }
-        if base == BaseKind::Cylinder {
-            commands.push(line(&[&["replay", model, &campaign][..], delay].concat()));
-            commands.push(line(&["export", model, "-o", "tables.rs"]));
-        }
+        commands.push(line(&[&["replay", model, &campaign][..], delay].concat()));
+        commands.push(line(&["export", model, "-o", "tables.rs"]));
         commands
     }
 

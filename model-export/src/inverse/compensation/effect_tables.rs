@@ -7,7 +7,6 @@ use nalgebra::{Matrix3, Vector3};
 
 use crate::effects::{CreepParts, FieldForm, ForceForm, FrictionSliders};
 use crate::inverse::compensation::{Converter, NotCompensable, OwnedOnField, OwnedOnForce};
-use crate::inverse::static_model::lattice;
 
 /// Minimum reach in newtons of an inverse slider: a shorter one would follow noise.
 const MIN_REACH_N: f64 = 0.8;
@@ -112,7 +111,7 @@ impl Converter<'_> {
     fn magnet_temperature(&self, values: &[f64]) -> Result<FieldEffect<'static>, NotCompensable> {
         let [percent_per_k] = self.values(values)?;
         Ok(FieldEffect::MagnetTemperature(thermal::MagnetTemperatureTable {
-            without: self.three(self.model.model.bias_g * self.units, 0)?,
+            without: self.three(self.model.bias_g() * self.units, 0)?,
             per_count: self.integer(0.01 * percent_per_k * PER_COUNT, thermal::REMANENCE_BITS)?,
         }))
     }
@@ -125,7 +124,7 @@ impl Converter<'_> {
         let at_g = self.model.field([0.0; 2]);
         let mut normal = nalgebra::Matrix4::<f64>::zeros();
         let mut right = nalgebra::Matrix4x3::<f64>::zeros();
-        for force in lattice([self.model.model.force_range_n; 2], 15) {
+        for force in self.model.region().lattice(15) {
             let away = (self.model.field(force) - at_g) * self.units;
             let regressor = nalgebra::Vector4::new(1.0, away.x, away.y, away.z);
             normal += regressor * regressor.transpose();

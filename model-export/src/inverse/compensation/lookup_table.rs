@@ -14,6 +14,7 @@ use crate::effects::{Expression, REFERENCE_C};
 use crate::inverse::compensation::effect_tables::RATE_FILTER_MS;
 use crate::inverse::compensation::{Converter, NotCompensable};
 use crate::inverse::grbf::nearest_forces;
+use crate::inverse::static_model::ForceRegion;
 
 /// Maximum number of values of a table, and of cells along a side.
 const MAX_VALUES: usize = 1089;
@@ -25,7 +26,7 @@ const ACCEPTED_ERROR: f64 = 0.1;
 /// Cells of the lines along which the interpolation error is measured, and levels of the other covariates.
 const FINE_CELLS: usize = 1024;
 const LEVELS: usize = 5;
-/// Range of a force and of its rate per second, relative to the design's force.
+/// Range of a force and of its rate per second, relative to the forces in which the model is valid.
 const FORCE_RANGE: f64 = 1.1;
 const RATE_RANGE: f64 = 20.0;
 /// Range of the opening's rate in mm/s.
@@ -152,7 +153,7 @@ pub(super) fn unsupported(formula: &Expression) -> Option<String> {
                     "its tables are not over angles of the attitude such as {column}; use accel_x_mps2, accel_y_mps2 or accel_z_mps2, which contain gravity"
                 ));
             }
-            _ if board_column(column, 1.0).is_none() => {
+            _ if board_column(column, ForceRegion::symmetric(1.0)).is_none() => {
                 return Some(format!("the board does not know {column}"));
             }
             _ => {}
@@ -173,8 +174,8 @@ pub(super) fn unsupported(formula: &Expression) -> Option<String> {
     }
 }
 
-/// A column over the range of a table, for a gripper of this design force in newtons; `None` if the board does not have it.
-fn board_column(column: &str, force_n: f64) -> Option<BoardColumn> {
+/// A column over the range of a table, for a model that is valid in this region; `None` if the board does not have it.
+fn board_column(column: &str, region: ForceRegion) -> Option<BoardColumn> {
     let plain = |covariate, from, to, per_unit| BoardColumn {
         covariate,
         is_rate: false,
@@ -184,8 +185,9 @@ fn board_column(column: &str, force_n: f64) -> Option<BoardColumn> {
         zero: 0.0,
     };
     let force = |axis: u8| {
-        let range_n = FORCE_RANGE * force_n;
-        plain(Covariate::Force(axis), -range_n, range_n, Force::PER_NEWTON)
+        let range = region.scaled(FORCE_RANGE);
+        let [from, to] = [-1.0, 1.0].map(|end| range.at([end; 2])[usize::from(axis)]);
+        plain(Covariate::Force(axis), from, to, Force::PER_NEWTON)
     };
     let rate =
         |of: BoardColumn, range: f64| BoardColumn { is_rate: true, from: -range, to: range, ..of };
@@ -210,8 +212,8 @@ fn board_column(column: &str, force_n: f64) -> Option<BoardColumn> {
         },
         "fx_n" => force(0),
         "fz_n" => force(1),
-        "fx_rate_n_per_s" => rate(force(0), RATE_RANGE * force_n),
-        "fz_rate_n_per_s" => rate(force(1), RATE_RANGE * force_n),
+        "fx_rate_n_per_s" => rate(force(0), RATE_RANGE * region.half_n[0]),
+        "fz_rate_n_per_s" => rate(force(1), RATE_RANGE * region.half_n[1]),
         _ => return None,
     })
 }
@@ -228,12 +230,12 @@ impl Converter<'_> {
             return Err(self.error(why));
         }
         self.check_turns(formula, values)?;
-        let force_n = self.model.model.force_range_n;
+        let region = self.model.region();
         let inputs: Vec<TableInput> = formula
             .inputs(values)
             .into_iter()
             .filter_map(|(name, lag_s)| {
-                Some(TableInput { column: board_column(name, force_n)?, lag_s })
+                Some(TableInput { column: board_column(name, region)?, lag_s })
             })
             .collect();
         let evaluate = |columns: Vec<Vec<f64>>| self.evaluate(formula, values, columns);
@@ -310,12 +312,12 @@ impl Converter<'_> {
     /// What a unit of the formula's value changes. Derivatives to displacement and tilt are linear functions of the field, as
     /// [`Self::linear_in_field`]; a rotation is of first order, with an error of the square of its angle.
     fn direction(&self, formula: &Expression) -> Result<Direction, NotCompensable> {
-        let model = &self.model.model;
+        let model = self.model;
         let (quantity, axis) = formula.target();
         let along: Vector3<f64> = Vector3::ith(axis, 1.0);
         let in_plane = along.xz();
         let of_reading =
-            |matrix: Matrix3<f64>| Direction::Field { along_g: -matrix * model.bias_g, matrix };
+            |matrix: Matrix3<f64>| Direction::Field { along_g: -matrix * model.bias_g(), matrix };
         let of_state = |derivative: &dyn Fn([f64; 2]) -> Vector3<f64>| {
             let fitted = self.linear_in_field(derivative)?;
             let along_g = fitted.rest_g - fitted.bend * fitted.at_g;
@@ -325,19 +327,18 @@ impl Converter<'_> {
             Quantity::Force => Direction::Force(in_plane),
             // A displacement in the plane of motion is equivalent to a force of the flexure.
             Quantity::Displacement if axis != 1 => {
-                let [kx, kz] = model.stiffness_n_per_mm;
+                let [kx, kz] = model.stiffness_n_per_mm();
                 Direction::Force(in_plane.component_mul(&Vector2::new(1e-3 * kx, 1e-3 * kz)))
             }
             Quantity::Displacement => {
-                of_state(&|force_n| self.model.response(force_n).per_mm.column(axis) * 1e-3)?
+                of_state(&|force_n| model.response(force_n).per_mm.column(axis) * 1e-3)?
             }
             Quantity::Tilt => {
-                of_state(&|force_n| self.model.response(force_n).per_tilt[axis / 2] * 1e-3)?
+                of_state(&|force_n| model.response(force_n).per_tilt[axis / 2] * 1e-3)?
             }
-            Quantity::Field => Direction::Field {
-                along_g: model.frames().element * along,
-                matrix: Matrix3::zeros(),
-            },
+            Quantity::Field => {
+                Direction::Field { along_g: model.element() * along, matrix: Matrix3::zeros() }
+            }
             Quantity::Gain => of_reading(Matrix3::identity()),
             Quantity::AxisGain => of_reading(Matrix3::from_diagonal(&along)),
             Quantity::Rotation => of_reading(along.cross_matrix() * 1e-3),
@@ -456,15 +457,16 @@ impl Converter<'_> {
         let values = evaluate(columns(0, 0.0))?;
         let largest = values.iter().fold(0.0_f64, |most, value| most.max(value.abs()));
         let force_n = |level: &[usize]| {
-            let mut force_n = [0.0; 2];
+            let mut coordinates = [0.0; 2];
             for (i, input) in inputs.iter().enumerate() {
                 if let (Covariate::Force(axis), false) =
                     (input.column.covariate, input.column.is_rate)
                 {
-                    force_n[usize::from(axis)] = at(i, level[i], 0.0) / FORCE_RANGE;
+                    coordinates[usize::from(axis)] =
+                        2.0 * level[i] as f64 / (LEVELS - 1) as f64 - 1.0;
                 }
             }
-            force_n
+            self.model.region().at(coordinates)
         };
         let per_value = |force_n: [f64; 2]| match direction {
             Direction::Force(along_n) => along_n.norm(),

@@ -110,7 +110,6 @@ impl OwnedCompensation {
                     | DeviceForm::Bench { .. }
                     | DeviceForm::Never(_) => {}
                 },
-                // A polynomial, the only base with channel-wise effects, has no inverse.
                 // In the tables of the inverse model.
                 EffectTerm::Expression(formula) if formula.depends_on_forces_alone() => {}
                 EffectTerm::Expression(formula) => {
@@ -213,7 +212,7 @@ impl Converter<'_> {
     }
 
     fn turn(&self) -> Matrix3<f64> {
-        *self.model.model.frames().element.matrix()
+        *self.model.element().matrix()
     }
 
     fn three(&self, values: Vector3<f64>, bits: u32) -> Result<[i32; 3], NotCompensable> {

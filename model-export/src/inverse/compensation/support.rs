@@ -6,10 +6,9 @@ use std::path::Path;
 use serde::Serialize;
 
 use crate::effects::{DeviceForm, EffectTerm};
-use crate::inverse::build::effect_values;
+use crate::inverse::build::{BuildError, ModelVariant, effect_values, static_model};
 use crate::inverse::compensation::{OwnedCompensation, board_conditions, lookup_table};
-use crate::inverse::static_model::StaticModel;
-use crate::model_file::{BaseKind, ModelFile};
+use crate::model_file::ModelFile;
 
 /// Whether the device compensates an effect.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -77,18 +76,19 @@ pub fn device_support(model: &ModelFile, effects: &[EffectTerm]) -> Vec<DeviceSu
             detail: reason.to_owned(),
             ..support.clone()
         };
-        if model.base == BaseKind::Polynomial {
-            return refused("a polynomial of the forces has no unique inverse");
-        }
         let refusal = model.sensors.iter().find_map(|sensor| {
             let number = sensor.number;
-            let forward = model.forward(number)?;
-            let all = match effect_values(model, effects, number, recordings, Path::new("")) {
+            let place = Path::new("");
+            let all = match effect_values(model, effects, number, recordings, place) {
                 Ok(all) => all,
                 Err(error) => return Some(error.to_string()),
             };
+            let rest = match static_model(model, &all, number, ModelVariant::Fitted, place) {
+                Ok(rest) => rest,
+                Err(BuildError::NotInvertible { why, .. }) => return Some(why.to_string()),
+                Err(error) => return Some(error.to_string()),
+            };
             let own: Vec<_> = all.iter().filter(|(own, _)| own == effect).cloned().collect();
-            let rest = StaticModel::new(forward, &all, recordings, model.table_state(number));
             let gauss_per_lsb = model.sensor_scale.gauss_per_lsb;
             let built = OwnedCompensation::build(number, &rest, &own, gauss_per_lsb);
             built.err().map(|error| format!("{} (sensor {number})", error.why))
