@@ -120,7 +120,7 @@ pub fn edited_effects(
         let available = if names.is_empty() { "no effects".to_owned() } else { names.join(", ") };
         bail!("{}: the model has no effect {missing}; it has {available}", place.display());
     }
-    if let Some(present) = added.iter().find(|effect| before.contains(effect)) {
+    if let Some(present) = added.iter().find(|effect| names.contains(&effect.name())) {
         bail!("{}: the model already has {}", place.display(), present.name());
     }
     let kept = before.iter().filter(|effect| !removed.iter().any(|name| name == effect.name()));

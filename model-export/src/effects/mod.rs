@@ -218,7 +218,14 @@ pub enum EffectTerm {
 
 impl PartialEq for EffectTerm {
     fn eq(&self, other: &Self) -> bool {
-        self.name() == other.name()
+        match (self, other) {
+            (Self::Catalogue(one), Self::Catalogue(other)) => one.id == other.id,
+            // Formulas of one name differ while a parameter is a number in one of them.
+            (Self::Expression(one), Self::Expression(other)) => {
+                one.text == other.text && one.ranges == other.ranges
+            }
+            _ => false,
+        }
     }
 }
 

@@ -34,7 +34,8 @@ pub fn candidates(
     let (mut testable, mut untestable) = (Vec::new(), Vec::new());
     let catalogue = CATALOGUE.iter().map(|effect| EffectTerm::Catalogue(effect));
     let all = catalogue.chain(own.iter().cloned());
-    for candidate in all.filter(|candidate| !present.contains(candidate)) {
+    let is_present = |name: &str| present.iter().any(|effect| effect.name() == name);
+    for candidate in all.filter(|candidate| !is_present(candidate.name())) {
         match obstacle(&candidate, campaign, model) {
             Some(reason) => {
                 // No recording makes up for what the model does not have.
