@@ -256,7 +256,7 @@ pub fn find_effects(effects: &[String], formulas: &[EffectTerm]) -> Result<Vec<E
     let mut all = catalogue.collect::<Result<Vec<_>>>()?;
     all.extend_from_slice(formulas);
     for (i, effect) in all.iter().enumerate() {
-        if all[..i].contains(effect) {
+        if all[..i].iter().any(|other| other.name() == effect.name()) {
             bail!("{} was given twice", effect.name());
         }
     }

@@ -76,6 +76,10 @@ def test_added_formula_lowers_the_error_and_is_removed_again(ripple, improved):
 def test_an_edit_that_the_board_cannot_compute_states_why(ripple):
     polynomial = magpie.fit(ripple, base="polynomial").model
     edit = magpie.add(polynomial, ripple, exprs="ripple: bz_g = a*sin(motor_angle_rad)")
+    assert edit.force[1].rms_n < 0.7 * edit.force[0].rms_n
+    # The device holds tables over three quantities.
+    product = "own: bz_g = a*opening_mm*motor_iq_a*temp_c*fx_n"
+    edit = magpie.add(polynomial, ripple, exprs=product)
     assert edit.force is None
     assert "Error of the forces: not available" in str(edit) and "G before, " in str(edit)
 

@@ -6,7 +6,7 @@ use analysis::compare::ForceError;
 use analysis::compare::pipeline::compare;
 use analysis::diagnose::observer::Observer;
 use analysis::diagnose::{Diagnosis, Scope, diagnose};
-use analysis::edit_model::{find_effects, refit};
+use analysis::edit_model::refit;
 use analysis::fit::{CampaignFit, fit_model};
 use analysis::progress;
 use analysis::statistics::pooled_rms;
@@ -17,10 +17,11 @@ use model_export::effects::EffectTerm;
 use model_export::fit::FitOptions;
 use model_export::inverse::build::{ModelVariant, build};
 use model_export::inverse::codegen::{MARK, tables_source};
-use model_export::model_file::{BaseKind, ModelFile};
+use model_export::model_file::{BaseKind, EffectModel, ModelFile};
 use model_export::output::write_output;
 use model_export::recordings::align::Alignment;
 use model_export::recordings::campaign::recording_folders;
+use model_export::recordings::units::round_significant;
 use report::text;
 use report::text::diagnosis::format_summary;
 use report::text::terminal;
@@ -192,8 +193,8 @@ fn found(diagnosis: &Diagnosis) -> String {
     let verdict = text::diagnosis::verdict(diagnosis);
     let models = diagnosis.formulas.iter().flat_map(|formula| &formula.models);
     let formulas: Vec<String> = models
-        .filter_map(|model| model.expression.as_ref())
-        .map(|text| format!("   {text}\n"))
+        .filter_map(|model| Some((model.expression.as_ref()?, nonlinear_values(model))))
+        .map(|(text, values)| format!("   {text}{values}\n"))
         .collect();
     if formulas.is_empty() {
         return terminal::paragraph(&format!("3. Diagnose. {verdict}"));
@@ -206,6 +207,25 @@ fn found(diagnosis: &Diagnosis) -> String {
     terminal::paragraph(&heading) + &formulas.concat() + &causes
 }
 
+/// The nonlinear parameters of a formula, from the least to the largest of the sensors: ", p = 2.609 mm".
+fn nonlinear_values(formula: &EffectModel) -> String {
+    let of_name = |name: &String| {
+        let values = formula.sensors.iter().filter_map(|sensor| sensor.parameters.get(name));
+        let mut shown: Vec<f64> =
+            values.clone().map(|fitted| round_significant(fitted.value, 4)).collect();
+        shown.sort_by(f64::total_cmp);
+        shown.dedup();
+        let unit = values.map(|fitted| fitted.unit.as_str()).next().unwrap_or_default();
+        let span = match shown.as_slice() {
+            [] => return String::new(),
+            [one] => one.to_string(),
+            [least, .., largest] => format!("{least} to {largest}"),
+        };
+        format!(", {name} = {span} {unit}").trim_end().to_owned()
+    };
+    formula.ranges.iter().map(|range| of_name(&range.name)).collect()
+}
+
 /// Adds the accepted effects one by one; returns what was added and the file of each model.
 fn add_effects(
     base: &CampaignFit,
@@ -215,20 +235,14 @@ fn add_effects(
 ) -> Result<Vec<(String, PathBuf)>> {
     let mut models = Vec::new();
     let mut added: Vec<EffectTerm> = Vec::new();
-    for (i, step) in diagnosis.accepted.iter().enumerate() {
-        // The first of several equivalent effects; a user would choose, or record data that separate them.
-        let first = step.first().context("an empty step")?;
-        let formulas = diagnosis.formulas.iter().flat_map(|formula| &formula.effects);
-        match formulas.into_iter().find(|formula| formula.name() == first) {
-            Some(formula) => added.push(formula.clone()),
-            None => added.extend(find_effects(std::slice::from_ref(first), &[])?),
-        }
+    for (i, (name, terms)) in diagnosis.accepted_steps()?.into_iter().enumerate() {
+        added.extend(terms);
         let campaign = base.campaign.clone();
         let edit = refit(campaign, &base.model, Vec::new(), added.clone(), ALIGNMENT, options)?;
         print_notes(&edit.notes);
         let path = output.join(format!("better-{}.toml", i + 1));
         edit.model.write(&path)?;
-        models.push((step.join(" or "), path));
+        models.push((name, path));
     }
     Ok(models)
 }

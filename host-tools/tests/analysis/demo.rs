@@ -43,7 +43,8 @@ fn demo_adds_an_effect_and_a_formula_and_the_force_error_falls_twice() {
     let [after, error, noise] = with_both;
     assert!((0.40..0.45).contains(&noise), "{errors:?}");
     assert!((error.powi(2) - noise.powi(2) - after.powi(2)).abs() < 0.002, "{errors:?}");
-    assert!(report.contains("follows the opening") && report.contains("sin(2*pi*opening_mm/"));
+    assert!(report.contains("follows the opening") && report.contains("sin(2*pi*opening_mm/p)"));
+    assert!(report.contains(", p = 2.609 mm\n"), "{report}");
     // What commonly moves with the opening, as a suggestion.
     assert!(report.contains("What commonly moves, to check: with opening_mm: "), "{report}");
     assert!(report.lines().count() <= 32, "{report}");

@@ -19,8 +19,8 @@ use crate::{DefaultSeeds, Options};
 
 const SEEDS: DefaultSeeds = DefaultSeeds { first: 1, full: 1, quick: 1 };
 /// Effects that a device compensates, each alone, with a magnitude where the typical one is hidden by the noise of a bench whose
-/// motor carries a few amperes; then pairs.
-const HIDDEN: [&str; 17] = [
+/// motor carries a few amperes; pairs; then effects that only formulas represent.
+const HIDDEN: [&str; 22] = [
     "neighbour_magnet",
     "magnet_temperature",
     "hysteresis",
@@ -38,6 +38,11 @@ const HIDDEN: [&str; 17] = [
     "sensor_compression",
     "neighbour_magnet+magnet_temperature",
     "hysteresis+cross_coupling",
+    "guide_ripple",
+    "body_bending",
+    "overhang",
+    "cable_pull",
+    "rate_gain",
 ];
 const QUICK: [&str; 2] = ["magnet_temperature", "hysteresis"];
 /// Length of a recording in seconds.

@@ -161,14 +161,14 @@ pub fn evaluate(args: &Args, options: &Options) -> Result<Section> {
 }
 
 /// A held-out force error in newtons.
-struct ForceStep {
-    excess_n: f64,
-    noise_n: f64,
+pub struct ForceStep {
+    pub excess_n: f64,
+    pub noise_n: f64,
     recorded_n: f64,
 }
 
 impl ForceStep {
-    fn of(force: &Value) -> Result<Self> {
+    pub fn of(force: &Value) -> Result<Self> {
         let value = |key: &str| force[key].as_f64().ok_or_else(|| anyhow!("no {key} in {force}"));
         Ok(Self {
             excess_n: value("excess_n")?,
@@ -177,13 +177,13 @@ impl ForceStep {
         })
     }
 
-    fn is_fall(&self, before: &Self) -> bool {
+    pub fn is_fall(&self, before: &Self) -> bool {
         self.excess_n <= (MAX_RATIO * before.excess_n).max(SMALL_EXCESS * self.noise_n)
     }
 }
 
 /// Simulates a gripper.
-fn simulate(folder: &Path, effects: &[&str], seed: u64) -> Result<()> {
+pub fn simulate(folder: &Path, effects: &[&str], seed: u64) -> Result<()> {
     let folder = folder.to_string_lossy();
     let seed = seed.to_string();
     let mut command = vec!["simulate", "--seed", &seed, "--sensors", SENSORS, "-o", &folder];

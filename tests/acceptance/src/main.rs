@@ -8,10 +8,12 @@ mod fault_campaign;
 mod force;
 mod force_estimators;
 mod forged_frames;
+mod formulas;
 mod grasp;
 mod intervals;
 mod magnetic_disturbance;
 mod magpie;
+mod orientations;
 mod results;
 mod robustness;
 mod similarity;
@@ -89,6 +91,7 @@ enum Run {
     Similarity,
     MagneticDisturbance(magnetic_disturbance::Args),
     Force(force::Args),
+    Formulas(formulas::Args),
     /// Compare eight force estimators on a held-out recording.
     #[command(after_help = "Example:\n  cargo acceptance force-estimators --first 12")]
     ForceEstimators,
@@ -99,6 +102,9 @@ enum Run {
     FaultCampaign(fault_campaign::Args),
     BusLoad(bus_load::Args),
     Calibration(calibration::Args),
+    /// Calibrate emulated boards with sensors in all orientations.
+    #[command(after_help = "Example:\n  cargo acceptance orientations --quick")]
+    Orientations,
     /// Send crafted and random frames to a gripper whose session another host owns.
     #[command(after_help = "Example:\n  cargo acceptance forged-frames --seeds 3")]
     ForgedFrames,
@@ -112,12 +118,14 @@ impl Run {
             Self::Similarity => similarity::evaluate(options),
             Self::MagneticDisturbance(args) => magnetic_disturbance::evaluate(args, options),
             Self::Force(args) => force::evaluate(args, options),
+            Self::Formulas(args) => formulas::evaluate(args, options),
             Self::ForceEstimators => force_estimators::evaluate(options),
             Self::Drive => drive::evaluate(options),
             Self::Grasp(args) => grasp::evaluate(args, options),
             Self::FaultCampaign(args) => fault_campaign::evaluate(args, options),
             Self::BusLoad(args) => bus_load::evaluate(args, options),
             Self::Calibration(args) => calibration::evaluate(args, options),
+            Self::Orientations => orientations::evaluate(options),
             Self::ForgedFrames => forged_frames::evaluate(options),
             Self::Robustness(args) => robustness::evaluate(args, options),
         }

@@ -30,9 +30,10 @@ use crate::diagnose::recording_plan::{RecordingProposal, propose};
 use crate::diagnose::remaining_structure::RemainingStructure;
 pub use crate::diagnose::residuals::EffectShape;
 use crate::diagnose::residuals::{residuals_against, shapes};
+use crate::diagnose::selection::Selection;
 pub use crate::diagnose::suggestions::{Suggestion, SuggestionKind};
 use crate::diagnose::verdicts::conclude;
-use anyhow::Result;
+use anyhow::{Context, Result};
 use model_export::effects::{EffectTerm, find};
 use model_export::fit::FitOptions;
 use model_export::fit::campaign::SEARCH_ROWS;
@@ -197,6 +198,10 @@ pub struct Verdict {
     pub tied_with: Vec<String>,
     /// Other effects, each with the share of its pattern on these recordings that this one reproduces, largest first.
     pub reproduces: Vec<(String, f64)>,
+    /// Excess of the held-out force error over its noise with this effect, in newtons: of an accepted effect that of its step, of others
+    /// as the linearised model predicts it beside the accepted ones. `None` where the force error was not computed, or the effect is
+    /// equivalent to an accepted one.
+    pub excess_n: Option<f64>,
     /// Reduction of the cross-validated squared error, as a fraction.
     pub gain: f64,
     /// p-value adjusted for all candidates; NaN if not tested.
@@ -236,6 +241,64 @@ impl Diagnosis {
             }
         }
         self.equivalent_formulas = equivalent_formulas;
+    }
+
+    /// Sets the force error of each step, and from it the excess of each verdict.
+    fn set_forces(
+        &mut self,
+        forces: impl Iterator<Item = Option<ForceError>>,
+        selection: &Selection,
+    ) {
+        for (step, force) in self.staircase.iter_mut().zip(forces) {
+            step.force = force;
+        }
+        let last = self.staircase.last().and_then(|last| last.force);
+        for verdict in &mut self.verdicts {
+            let of_step =
+                self.staircase.iter().find(|step| step.added.first() == Some(&verdict.effect));
+            let screened = || {
+                selection.last.iter().find(|screened| screened.candidate.name() == verdict.effect)
+            };
+            verdict.excess_n = match (of_step, verdict.kind) {
+                (Some(step), _) => step.force.map(|force| force.excess_n()),
+                (None, VerdictKind::Tied | VerdictKind::Shadow) => None,
+                (None, _) => last.zip(screened()).map(|(force, screened)| {
+                    force.excess_less(screened.evidence.force_reduction_n2())
+                }),
+            };
+        }
+        self.sort_verdicts();
+    }
+
+    /// Sorts the verdicts by their kind, then by the force error that they leave, then by the error of the field.
+    fn sort_verdicts(&mut self) {
+        let key = |verdict: &Verdict| {
+            let excess_n = verdict.excess_n.unwrap_or(f64::INFINITY);
+            let gain = if verdict.gain.is_nan() { f64::NEG_INFINITY } else { verdict.gain };
+            (verdict.kind, excess_n, -gain)
+        };
+        self.verdicts.sort_by(|a, b| {
+            let ((kind, excess_n, gain), (other, other_n, other_gain)) = (key(a), key(b));
+            let by_error = excess_n.total_cmp(&other_n).then(gain.total_cmp(&other_gain));
+            kind.cmp(&other).then(by_error)
+        });
+    }
+
+    /// Name of each accepted step with its effects: the first of several equivalent ones, and all of a formula.
+    ///
+    /// # Errors
+    /// A step is neither of the catalogue nor a discovered formula.
+    pub fn accepted_steps(&self) -> Result<Vec<(String, Vec<EffectTerm>)>> {
+        let steps = if self.accepted.is_empty() { &[] } else { self.staircase.as_slice() };
+        let terms = |step: &StaircaseStep| {
+            let first = step.added.first().context("an empty step")?;
+            let terms = match self.formulas.iter().find(|formula| formula.name == *first) {
+                Some(formula) => formula.effects.clone(),
+                None => vec![EffectTerm::Catalogue(find(first)?)],
+            };
+            Ok((step.added.join(" or "), terms))
+        };
+        steps.iter().skip(1).map(terms).collect()
     }
 }
 
@@ -324,9 +387,7 @@ pub fn diagnose(
         let fits: Vec<(&JointFit, &[EffectTerm])> =
             selection.stages.iter().map(|stage| (&stage.fit, stage.effects.as_slice())).collect();
         let forces = held_out_forces(campaign, &prepared, &fits, alignment, options)?;
-        for (step, forces) in diagnosis.staircase.iter_mut().zip(&forces) {
-            step.force = forces.error;
-        }
+        diagnosis.set_forces(forces.iter().map(|forces| forces.error), &selection);
         diagnosis.origins = selection.stages.last().map_or_else(Vec::new, |last| {
             let recordings = campaign.recordings.len();
             EffectOrigin::of(&EffectModel::all_of(&last.fit, &last.effects, recordings))

@@ -263,6 +263,7 @@ mod tests {
             provisional: false,
             tied_with: Vec::new(),
             reproduces: Vec::new(),
+            excess_n: None,
             gain: 0.9,
             p_adjusted: 0.002,
             value: 10.104,

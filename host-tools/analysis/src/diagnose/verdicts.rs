@@ -80,9 +80,7 @@ pub fn conclude(
         verdict.reproduces = selection.similarity.reproduced_by(&verdict.effect);
     }
     diagnosis.verdicts.extend(unjudged.iter().map(of_unjudged));
-    diagnosis.verdicts.sort_by(|a, b| {
-        (a.kind, b.gain).partial_cmp(&(b.kind, a.gain)).unwrap_or(std::cmp::Ordering::Equal)
-    });
+    diagnosis.sort_verdicts();
     diagnosis
 }
 
@@ -121,6 +119,7 @@ fn of_step(
         provisional: !complete,
         reproduces: Vec::new(),
         tied_with: all.iter().filter(|name| *name != effect.name()).cloned().collect(),
+        excess_n: None,
         gain: step.gain,
         p_adjusted: step.p_adjusted,
         value: f64::NAN,
@@ -198,6 +197,7 @@ fn of_rest(
         provisional: !complete,
         tied_with: Vec::new(),
         reproduces: Vec::new(),
+        excess_n: None,
         gain: evidence.gain(),
         p_adjusted: screened.p_adjusted,
         value: f64::NAN,
@@ -245,6 +245,7 @@ pub(super) fn of_unjudged(unjudged: &UntestableEffect) -> Verdict {
         provisional: false,
         tied_with: Vec::new(),
         reproduces: Vec::new(),
+        excess_n: None,
         gain: 0.0,
         p_adjusted: f64::NAN,
         value: f64::NAN,

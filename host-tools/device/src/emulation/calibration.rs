@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use analysis::compare::campaign_reader::read_campaign;
 use analysis::diagnose::observer::Observer;
 use analysis::diagnose::{Scope, StaircaseStep, diagnose};
-use analysis::edit_model::{find_effects, refit};
+use analysis::edit_model::refit;
 use analysis::fit::fit_model;
 use analysis::reference_delay::align_recording;
 use analysis::replay::replay_with;
@@ -17,6 +17,7 @@ use emulator::Image;
 use firmware::config::constants;
 use firmware::protocol::serial::Packet;
 use firmware::sensors::hall::SENSORS;
+use model_export::effects::{EffectTerm, find};
 use model_export::fit::FitOptions;
 use model_export::inverse::build::{DeviceModel, ModelVariant, build};
 use model_export::inverse::calibration::{CalibrationDescription, encode_calibration};
@@ -55,16 +56,20 @@ pub struct Identification {
     pub model: PathBuf,
     /// Accepted steps of the diagnosis, each one effect or several equivalent ones.
     pub accepted: Vec<Vec<String>>,
-    /// Effects added to the model: the first of each step.
-    pub added: Vec<String>,
     /// Held-out error of the field relative to the noise floor, without and with the effects.
     pub floors: [f64; 2],
 }
 
 impl Identification {
-    /// Whether the diagnosis names these effects, each alone or among equivalent ones, and no other.
+    /// Whether the diagnosis names these effects, each alone or among equivalent ones, and no other; of those outside the
+    /// catalogue, whether it finds formulas.
     pub fn names(&self, hidden: &[Effect]) -> bool {
-        let is_in = |step: &[String], effect: &Effect| step.iter().any(|id| id == effect.kind.id);
+        let is_in = |step: &[String], effect: &Effect| {
+            step.iter().any(|id| match effect.kind.is_in_catalogue {
+                true => id == effect.kind.id,
+                false => find(id).is_err(),
+            })
+        };
         hidden.iter().all(|effect| self.accepted.iter().any(|step| is_in(step, effect)))
             && self.accepted.iter().all(|step| hidden.iter().any(|effect| is_in(step, effect)))
     }
@@ -137,12 +142,11 @@ pub fn identify(
         options,
         &Observer::default(),
     )?;
-    let added: Vec<String> =
-        diagnosis.accepted.iter().filter_map(|step| step.first().cloned()).collect();
-    let model = if added.is_empty() {
+    let effects: Vec<EffectTerm> =
+        diagnosis.accepted_steps()?.into_iter().flat_map(|(_, terms)| terms).collect();
+    let model = if effects.is_empty() {
         plain.clone()
     } else {
-        let effects = find_effects(&added, &[])?;
         let edit = refit(recordings, &fit.model, Vec::new(), effects, ALIGNED, options)?;
         edit.model.write(&better)?;
         better
@@ -156,7 +160,6 @@ pub fn identify(
         model,
         floors: [floors(stairs.first()), floors(stairs.last())],
         accepted: diagnosis.accepted,
-        added,
     })
 }
 

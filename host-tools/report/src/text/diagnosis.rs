@@ -119,13 +119,14 @@ pub fn listed(effects: &[String]) -> String {
 }
 
 fn verdict_table(diagnosis: &Diagnosis) -> String {
-    let mut table = terminal::table(["effect", "verdict", "gain", "p", "magnitude or reason"]);
-    table.set_width(NARROW_WIDTH);
+    let mut table =
+        terminal::table(["effect", "verdict", "excess / N", "gain", "p", "magnitude or reason"]);
     let (shown, hidden) = shown_verdicts(diagnosis);
     for verdict in shown {
         table.add_row([
             verdict.effect.clone(),
             verdict_label(verdict),
+            verdict.excess_n.map_or_else(|| "-".to_owned(), |excess_n| format!("{excess_n:.3}")),
             if verdict.gain.is_finite() {
                 format!("{:.1} %", 100.0 * verdict.gain.max(0.0))
             } else {
@@ -143,6 +144,7 @@ fn verdict_table(diagnosis: &Diagnosis) -> String {
         table.add_row([
             format!("{hidden} others"),
             "INCONCLUSIVE".to_owned(),
+            "-".to_owned(),
             format!("< {:.0} %", 100.0 * MIN_SHOWN),
             "-".to_owned(),
             "much is unexplained".to_owned(),
@@ -573,6 +575,7 @@ fn verdict_json(diagnosis: &Diagnosis, verdict: &Verdict) -> Value {
         "provisional": verdict.provisional,
         "tied_with": verdict.tied_with,
         "reproduces": verdict.reproduces.iter().map(|(effect, share)| json!({ "effect": effect, "share": share })).collect::<Vec<_>>(),
+        "excess_n": verdict.excess_n,
         "gain": verdict.gain,
         "p_adjusted": verdict.p_adjusted,
         "value": verdict.value,
@@ -995,8 +998,15 @@ pub fn significance_note(diagnosis: &Diagnosis) -> String {
     } else {
         String::new()
     };
+    let excess = match diagnosis.verdicts.iter().any(|verdict| verdict.excess_n.is_some()) {
+        true => {
+            "Excess: of the held-out force error over its noise, after the step of an accepted effect (replay), and predicted for any \
+             other one added to the last step. "
+        }
+        false => "",
+    };
     format!(
-        "Gain: reduction of the held-out squared error, of an accepted step relative to the step before. p: p-value adjusted for all candidates \
+        "{excess}Gain: reduction of the held-out squared error of the field, of an accepted step relative to the step before. p: p-value adjusted for all candidates \
          (wild bootstrap over {} blocks of {:.1} s, seed {}). Present: p below {LEVEL}, gain above {} %, and a lower \
          error in every fold. < b of typical: 95 % upper bound of the magnitude.{sampled}",
         diagnosis.blocks,

@@ -13,6 +13,7 @@ pub fn verdict_of(effect: &str, kind: VerdictKind, reason: Reason) -> Verdict {
         kind,
         provisional: false,
         reproduces: Vec::new(),
+        excess_n: None,
         tied_with: Vec::new(),
         gain: 0.0,
         p_adjusted: 1.0,

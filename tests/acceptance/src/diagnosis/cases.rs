@@ -149,7 +149,7 @@ const UNNAMED: [(&str, Option<&str>); 3] =
     [("screw_ripple", Some("motor_angle_rad")), ("cross_term", None), ("unlogged", None)];
 
 /// Effects outside the catalogue that a formula of recorded columns represents: all others.
-fn formulas() -> impl Iterator<Item = &'static EffectKind> {
+pub fn formulas() -> impl Iterator<Item = &'static EffectKind> {
     let is_unnamed = |kind: &&EffectKind| UNNAMED.iter().any(|(id, _)| *id == kind.id);
     EFFECT_KINDS.iter().filter(move |kind| !kind.is_in_catalogue && !is_unnamed(kind))
 }

@@ -3,7 +3,7 @@
 //! Each case is simulated, fitted and diagnosed by commands of `magpie`. The physics of `magpie simulate` shares no
 //! code with the models. Failures are printed with their seeds.
 
-mod cases;
+pub mod cases;
 mod counts;
 mod evaluate;
 mod run;

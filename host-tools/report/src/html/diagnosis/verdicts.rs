@@ -24,8 +24,16 @@ pub fn verdict_section(diagnosis: &Diagnosis) -> Section {
         (next(diagnosis))
         @if !diagnosis.verdicts.is_empty() {
             (table(
-                "All tested effects, most significant first",
-                &["effect", "verdict", "magnitude, or reason", "gain", "p", "typical / std. error"],
+                "All tested effects, by verdict, then by the force error that they leave",
+                &[
+                    "effect",
+                    "verdict",
+                    "magnitude, or reason",
+                    "excess / N",
+                    "gain",
+                    "p",
+                    "typical / std. error",
+                ],
                 diagnosis.verdicts.iter().map(row),
             ))
             @if provisional { p.note { (text::PROVISIONAL_NOTE) } }
@@ -44,6 +52,7 @@ fn row(verdict: &Verdict) -> Vec<Markup> {
         html! { (verdict.effect) },
         html! { span class=(verdict.kind.id()) { (text::verdict_label(verdict)) } },
         html! { (text::short_reason(verdict)) },
+        html! { (number(verdict.excess_n.unwrap_or(f64::NAN))) },
         // Negative gains are shown as zero; NaN stays NaN.
         html! { (percent(if verdict.gain < 0.0 { 0.0 } else { verdict.gain })) },
         html! { (number(verdict.p_adjusted)) },
