@@ -2,6 +2,8 @@
 
 use std::borrow::Cow;
 
+use nalgebra::DVector;
+
 use crate::effects::{Aggregation, EffectTerm, MagnitudeSpec};
 use crate::fit::joint::{JointFit, SensorFit};
 
@@ -22,12 +24,25 @@ pub struct EffectSize {
     pub component: Option<String>,
     /// Definition, with typical and plausible values.
     pub size: MagnitudeSpec,
+    /// The largest absolute value of a sensor where the magnitude is a mean that may cancel, else that of the magnitude.
+    pub largest: f64,
+    /// Chi-squared of all coefficients of all sensors against zero, above its expectation, in its standard deviations: coefficients that
+    /// only a prior separates from each other or from the model's parameters are not determined one by one.
+    pub significance: f64,
 }
 
 impl EffectSize {
     /// Whether it is within the plausible range.
     pub fn is_plausible(&self) -> bool {
         within((self.value, self.std_error), self.size.plausible)
+    }
+
+    /// Whether the magnitude is larger than two of its standard errors, or the coefficients together are significant. Without an error
+    /// it is.
+    pub fn is_determined(&self) -> bool {
+        self.std_error.is_nan()
+            || self.value.abs() >= 2.0 * self.std_error
+            || self.significance >= SIGNIFICANT
     }
 
     /// Whether it is within the physically possible range.
@@ -81,6 +96,12 @@ fn effect_size(
         first..first + count
     };
     // Steps between recordings precede the slope, which has another unit.
+    let excess = fit.sensors.iter().map(|sensor| {
+        let first = indices(sensor).start;
+        chi_squared(sensor, first..first + coefficients) - coefficients as f64
+    });
+    let degrees = (coefficients * fit.sensors.len()).max(1) as f64;
+    let significance = excess.sum::<f64>() / (2.0 * degrees).sqrt();
     let one_unit = parameters.iter().take(count).all(|p| p.unit == parameters[0].unit);
     let count = if one_unit { count } else { count.saturating_sub(1) };
     let single = |i: usize| {
@@ -149,9 +170,9 @@ fn effect_size(
     // instead of the offset.
     if value.is_nan() || value.abs() < 2.0 * std_error {
         let others = count..coefficients;
-        let significance = |i: &usize| single(*i).0.abs() / single(*i).1.max(f64::MIN_POSITIVE);
-        let best = others.max_by(|a, b| significance(a).total_cmp(&significance(b)));
-        if let Some(i) = best.filter(|i| significance(i) >= SIGNIFICANT)
+        let ratio = |i: &usize| single(*i).0.abs() / single(*i).1.max(f64::MIN_POSITIVE);
+        let best = others.max_by(|a, b| ratio(a).total_cmp(&ratio(b)));
+        if let Some(i) = best.filter(|i| ratio(i) >= SIGNIFICANT)
             && let Cow::Borrowed(unit) = parameters[i].unit
         {
             let (value, std_error) = single(i);
@@ -162,15 +183,46 @@ fn effect_size(
                 ..MagnitudeSpec::DEFAULT
             };
             let component = Some(format!("here {}", parameters[i].name));
-            return EffectSize { value, std_error, component, size };
+            return EffectSize {
+                value,
+                std_error,
+                component,
+                size,
+                largest: value.abs(),
+                significance,
+            };
         }
     }
+    let own = fit.sensors.iter().flat_map(|sensor| {
+        let first = indices(sensor).start;
+        sensor.values[first..first + count].iter().map(|value| value.abs())
+    });
+    let largest = match size.aggregation {
+        Aggregation::Largest => own.fold(value.abs(), f64::max),
+        _ => value.abs(),
+    };
     EffectSize {
         value: value * size.factor,
         std_error: (std_error * size.factor).hypot(size.resolution),
         component,
         size,
+        largest: largest * size.factor.abs(),
+        significance,
     }
+}
+
+/// Squares of some parameters in their standard errors, with their correlations.
+fn chi_squared(sensor: &SensorFit, parameters: std::ops::Range<usize>) -> f64 {
+    let count = parameters.len();
+    let values = DVector::from_column_slice(&sensor.values[parameters.clone()]);
+    let covariance =
+        sensor.covariance.view((parameters.start, parameters.start), (count, count)).into_owned();
+    let eigen = covariance.symmetric_eigen();
+    let least = 1e-12 * eigen.eigenvalues.max();
+    // Directions without a variance are not fitted.
+    let fitted = eigen.eigenvectors.column_iter().zip(&eigen.eigenvalues);
+    let squares = fitted.filter(|(_, variance)| **variance > least);
+    squares.map(|(axis, variance)| axis.dot(&values).powi(2) / variance).sum()
 }
 
 /// `of` applied to the values of these parameters, with its standard error to first order.

@@ -1,8 +1,10 @@
 //! One step of the forward selection: full fits of the significant candidates. The one with the largest reduction
 //! of the cross-validated error is added; candidates close to it are provisionally equivalent.
 
-use crate::diagnose::candidates::{MIN_GAIN, ScreenedEffect};
-use crate::diagnose::selection::{AcceptedStep, DISTINGUISHABLE, FittedModel, SMALL, Selection};
+use crate::diagnose::candidates::{LEVEL, MIN_GAIN, ScreenedEffect};
+use crate::diagnose::selection::{
+    AcceptedStep, DISTINGUISHABLE, FittedModel, SMALL, Selection, StandIn,
+};
 use anyhow::Result;
 use model_export::effects::EffectTerm;
 use model_export::fit::FitOptions;
@@ -13,6 +15,8 @@ use std::borrow::Cow;
 
 /// Maximum number of candidates fitted per step, the best by the linearised score test.
 const MAX_FITTED: usize = 5;
+/// Maximum number of candidates that are fitted in pairs.
+const MAX_IN_PAIRS: usize = 7;
 /// Minimum gain of a fitted candidate relative to the best.
 const MIN_RELATIVE_GAIN: f64 = 0.5;
 /// Candidates within this fraction of the best gain are provisionally equivalent.
@@ -37,13 +41,19 @@ struct FittedCandidate<'a> {
     reduction: f64,
     /// Whether the error decreases in every fold.
     improves_all_folds: bool,
+    /// Whether it removes a relevant share of what is not noise.
+    is_relevant: bool,
     /// Whether its magnitude is plausible.
     is_plausible: bool,
 }
 
 impl FittedCandidate<'_> {
+    fn is_cause(&self) -> bool {
+        self.is_improvement() && self.is_plausible
+    }
+
     fn is_improvement(&self) -> bool {
-        self.improves_all_folds && self.gain > MIN_GAIN
+        self.improves_all_folds && self.gain > MIN_GAIN && self.is_relevant
     }
 }
 
@@ -54,7 +64,8 @@ struct Ranking<'a> {
     shadows: Vec<EffectTerm>,
 }
 
-/// The best significant candidate with its model; `None` where no candidate improves the error.
+/// The best significant candidate with its model; `None` where no candidate improves the error with a plausible magnitude. Those
+/// that do so with an implausible one are added to `stand_ins`.
 ///
 /// Transient effects are cross-validated within recordings, which is easier, so they are ranked separately. Of the
 /// two best candidates, the better one within recordings is added.
@@ -67,15 +78,16 @@ pub fn best_candidate(
     around: &ScoreTest,
     selection: &Selection,
     options: FitOptions,
+    stand_ins: &mut Vec<StandIn>,
 ) -> Result<Option<(AcceptedStep, FittedModel)>> {
     let excess = 1.0 - stage.floors().powi(-2);
     let candidates = candidates_to_fit(&selection.last, excess, || around.time_spline_gain());
     let (within, ordinary): (Vec<_>, Vec<_>) =
         candidates.into_iter().partition(|screened| screened.candidate.is_transient());
-    let ordinary =
-        CandidateFit::new(prepared, stage, &ordinary, options)?.rank(&ordinary, selection);
+    let ordinary = CandidateFit::new(prepared, stage, &ordinary, options)?
+        .rank(&ordinary, selection, stand_ins);
     let transient = CandidateFit::new(prepared, stage, &within, options)?;
-    let within = transient.rank(&within, selection);
+    let within = transient.rank(&within, selection, stand_ins);
     let outcome = match (ordinary, within) {
         (Some(ordinary), Some(within)) => transient.better_of(ordinary, within, selection),
         (one, other) => match one.or(other) {
@@ -96,6 +108,84 @@ pub fn best_candidate(
     };
     let own = prepared.split(&best.stage.effects);
     Ok(Some((step, best.stage.with_split(prepared, own, options))))
+}
+
+/// Two candidates that lower the error in every fold together, where none does alone: what one explains is hidden by the other.
+/// Returns both steps with their models; the first is the one that explains more by itself.
+///
+/// # Errors
+/// The model cannot be fitted.
+pub fn best_pair(
+    prepared: &FitSetup,
+    stage: &FittedModel,
+    selection: &Selection,
+    options: FitOptions,
+) -> Result<Option<[(AcceptedStep, FittedModel); 2]>> {
+    // What the other one hides may make one of them insignificant.
+    let testable = |s: &&ScreenedEffect| {
+        let improves = s.evidence.wins() == s.evidence.folds.len() && s.evidence.gain() > MIN_GAIN;
+        !s.candidate.is_transient() && (improves || s.p_adjusted < LEVEL)
+    };
+    let mut contenders: Vec<&ScreenedEffect> = selection.last.iter().filter(testable).collect();
+    // The held-out error of one alone says little here: by what they explain of the fitted rows.
+    contenders.sort_by(|a, b| b.evidence.explained.total_cmp(&a.evidence.explained));
+    contenders.truncate(MAX_IN_PAIRS);
+    let pairs: Vec<[&ScreenedEffect; 2]> = contenders
+        .iter()
+        .enumerate()
+        .flat_map(|(i, one)| contenders[i + 1..].iter().map(move |other| [*one, *other]))
+        .collect();
+    let with = |added: &[&ScreenedEffect]| -> Vec<EffectTerm> {
+        let added = added.iter().map(|screened| screened.candidate.clone());
+        stage.effects.iter().cloned().chain(added).collect()
+    };
+    let fitted = |pair: &[&ScreenedEffect; 2]| {
+        FittedModel::without_validation(prepared, with(pair), options).ok()
+    };
+    let fits: Vec<Option<FittedModel>> = pairs.par_iter().map(fitted).collect();
+    let fits = pairs.into_iter().zip(fits).filter_map(|(pair, fit)| Some((pair, fit?)));
+    let Some((pair, _)) =
+        fits.min_by(|a, b| a.1.fitted_mean_square().total_cmp(&b.1.fitted_mean_square()))
+    else {
+        return Ok(None);
+    };
+    let recordings = recording_count(prepared);
+    let validated = |effects: Vec<EffectTerm>| {
+        let split = prepared.split(&effects);
+        FittedModel::new(prepared, effects, split, options)
+    };
+    let both = validated(with(&pair))?;
+    let is_plausible = pair.iter().all(|one| both.is_plausible(&one.candidate, recordings));
+    let is_improvement =
+        both.improves_all_folds(stage) && both.gain(stage) > MIN_GAIN && both.is_relevant(stage);
+    if !is_plausible || !is_improvement || !both.is_possible(recordings) {
+        return Ok(None);
+    }
+    let alone = [validated(with(&pair[..1]))?, validated(with(&pair[1..]))?];
+    // Each is needed beside the other one.
+    if alone.iter().any(|one| !both.is_distinguishably_better(one) || !both.is_relevant(one)) {
+        return Ok(None);
+    }
+    let [one, other] = alone;
+    let [first, second] = pair;
+    let (first, second, middle) = match one.mean_square() <= other.mean_square() {
+        true => (first, second, one),
+        false => (second, first, other),
+    };
+    let step =
+        |screened: &ScreenedEffect, model: &FittedModel, before: &FittedModel| AcceptedStep {
+            chosen: screened.candidate.clone(),
+            tied: Vec::new(),
+            shadows: Vec::new(),
+            gain: model.gain(before),
+            reduction: before.mean_square() - model.mean_square(),
+            p_adjusted: screened.p_adjusted,
+            z_typical: screened.evidence.z_typical,
+            form_gain: 0.0,
+        };
+    let steps = [step(first, &middle, stage), step(second, &both, &middle)];
+    let [one, other] = steps;
+    Ok(Some([(one, middle), (other, both)]))
 }
 
 /// Fits of candidates with the same cross-validation.
@@ -131,13 +221,14 @@ impl<'a> CandidateFit<'a> {
         effects.push(screened.candidate.clone());
         let stage =
             FittedModel::new(self.prepared, effects, before.fit.split, self.options).ok()?;
-        let recordings = self.prepared.rows.first().map_or(0, |rows| rows.parts.len());
+        let recordings = recording_count(self.prepared);
         stage.is_possible(recordings).then(|| FittedCandidate {
             screened,
             gain: stage.gain(before),
             reduction: before.mean_square() - stage.mean_square(),
             improves_all_folds: stage.improves_all_folds(before),
-            is_plausible: stage.newest_is_plausible(recordings),
+            is_relevant: stage.is_relevant(before),
+            is_plausible: stage.is_plausible(&screened.candidate, recordings),
             stage,
         })
     }
@@ -147,10 +238,14 @@ impl<'a> CandidateFit<'a> {
         &self,
         contenders: &[&'s ScreenedEffect],
         selection: &Selection,
+        stand_ins: &mut Vec<StandIn>,
     ) -> Option<Ranking<'s>> {
         let fitted = contenders.par_iter().filter_map(|&screened| self.fitted(screened));
         let mut ranked: Vec<FittedCandidate> = fitted.collect();
         ranked.sort_by(|a, b| b.gain.total_cmp(&a.gain));
+        for one in ranked.iter().filter(|one| one.is_improvement() && !one.is_plausible) {
+            self.note_stand_in(one, stand_ins);
+        }
         let best = ranked.remove(winner(&ranked, selection)?);
         let is_near = |other: &FittedCandidate| {
             let near = equivalent_gain(best.screened, other.screened, selection);
@@ -168,6 +263,14 @@ impl<'a> CandidateFit<'a> {
         Some(Ranking { tied: plain(tied), shadows: plain(shadows), best })
     }
 
+    fn note_stand_in(&self, one: &FittedCandidate, stand_ins: &mut Vec<StandIn>) {
+        let effect = &one.screened.candidate;
+        stand_ins.retain(|other| other.effect != *effect);
+        if let Some(size) = one.stage.size_of(effect, recording_count(self.prepared)) {
+            stand_ins.push(StandIn { effect: effect.clone(), size, gain: one.gain });
+        }
+    }
+
     /// The better of `other`, with another cross-validation, and `own`, the ranking of these candidates.
     fn better_of<'s>(
         &self,
@@ -175,8 +278,7 @@ impl<'a> CandidateFit<'a> {
         own: Ranking<'s>,
         selection: &Selection,
     ) -> Ranking<'s> {
-        let Some(rival) = self.fitted(other.best.screened).filter(FittedCandidate::is_improvement)
-        else {
+        let Some(rival) = self.fitted(other.best.screened).filter(FittedCandidate::is_cause) else {
             return own;
         };
         let (high, low) = (rival.gain.max(own.best.gain), rival.gain.min(own.best.gain));
@@ -192,17 +294,22 @@ impl<'a> CandidateFit<'a> {
     }
 }
 
-/// Index of the best candidate that improves the error and is not the remainder of an earlier step; `None` where
-/// such a remainder explains much more.
+/// Number of recordings.
+pub fn recording_count(setup: &FitSetup) -> usize {
+    setup.rows.first().map_or(0, |rows| rows.parts.len())
+}
+
+/// Index of the best candidate that improves the error with a plausible magnitude and is not the remainder of an earlier step; `None`
+/// where such a remainder or an implausible effect explains much more.
 fn winner(ranked: &[FittedCandidate], selection: &Selection) -> Option<usize> {
-    // The remainder of a larger effect is explained by other forms of it, or has an implausible magnitude.
+    // The remainder of a larger effect is explained by other forms of it.
     let is_remainder = |candidate: &FittedCandidate| {
         let is_larger = |step: &AcceptedStep| candidate.reduction < MAX_REMAINDER * step.reduction;
         selection.forms(candidate.screened).any(is_larger)
-            || (!candidate.is_plausible && selection.steps.iter().any(is_larger))
     };
     let first = ranked.iter().find(|c| c.is_improvement())?;
-    let place = ranked.iter().position(|c| c.is_improvement() && !is_remainder(c))?;
+    let is_cause = |c: &FittedCandidate| c.is_cause() && !is_remainder(c);
+    let place = ranked.iter().position(is_cause)?;
     (ranked[place].gain >= SMALL * first.gain).then_some(place)
 }
 

@@ -1,7 +1,7 @@
 //! Forward selection of effects by cross-validated error, separation of equivalent effects, and backward
 //! elimination.
 
-use crate::diagnose::candidate_fit::best_candidate;
+use crate::diagnose::candidate_fit::{best_candidate, best_pair, recording_count};
 use crate::diagnose::candidates::{MIN_GAIN, screen};
 use crate::diagnose::confusable_effects::{Collinearity, Similarity};
 use crate::diagnose::observer::Observer;
@@ -38,6 +38,7 @@ pub fn forward_selection(
 ) -> Result<Selection> {
     let mut selection = Selection {
         steps: Vec::new(),
+        stand_ins: Vec::new(),
         unconfirmed: Vec::new(),
         stages: vec![FittedModel::new(
             prepared,
@@ -64,7 +65,9 @@ pub fn forward_selection(
         }
         let stage = &selection.stages[selection.stages.len() - 1];
         observer.stage("fitting candidates", FITTING);
-        let best = best_candidate(prepared, stage, &around, &selection, options)?;
+        let mut stand_ins = std::mem::take(&mut selection.stand_ins);
+        let best = best_candidate(prepared, stage, &around, &selection, options, &mut stand_ins)?;
+        selection.stand_ins = stand_ins;
         let excess = 1.0 - stage.floors().powi(-2);
         let attributed = selection.attributed.first().map_or(0.0, |(_, share)| *share);
         let is_named = |gain: f64| attributed <= ATTRIBUTED || gain >= SMALL * attributed * excess;
@@ -74,6 +77,7 @@ pub fn forward_selection(
                 selection.stages.push(next);
             }
             None if exchange(prepared, &mut selection, options)? => {}
+            None if add_pair(prepared, &mut selection, options)? => {}
             None => break,
         }
     }
@@ -169,7 +173,23 @@ pub fn eliminate_backward(
     Ok(())
 }
 
-/// Residual in noise floors below which no effect is exchanged.
+/// Adds two effects that only lower the error together; returns whether it did.
+fn add_pair(prepared: &FitSetup, selection: &mut Selection, options: FitOptions) -> Result<bool> {
+    let last = selection.stages.last().filter(|last| last.floors() > MIN_EXCHANGE);
+    let Some(stage) = last.filter(|_| selection.steps.len() + 2 <= MAX_STEPS) else {
+        return Ok(false);
+    };
+    let Some(pair) = best_pair(prepared, stage, selection, options)? else {
+        return Ok(false);
+    };
+    for (step, model) in pair {
+        selection.steps.push(step);
+        selection.stages.push(model);
+    }
+    Ok(true)
+}
+
+/// Residual in noise floors below which no effect is exchanged or added in a pair.
 const MIN_EXCHANGE: f64 = 1.03;
 
 /// Replaces the effect of an earlier step by one that explained less in any step, where that now lowers the error: what the later
@@ -209,8 +229,11 @@ fn exchange(prepared: &FitSetup, selection: &mut Selection, options: FitOptions)
     let split = prepared.split(&[&last.effects[..], &fit.effects].concat());
     let old = last.clone().with_split(prepared, split, options);
     let new = FittedModel::new(prepared, fit.effects, split, options)?;
-    let recordings = prepared.rows.first().map_or(0, |rows| rows.parts.len());
-    if !new.is_distinguishably_better(&old) || !new.is_possible(recordings) {
+    let recordings = recording_count(prepared);
+    if !new.is_distinguishably_better(&old)
+        || !new.is_possible(recordings)
+        || !new.is_plausible(&other, recordings)
+    {
         return Ok(false);
     }
     let step = &mut selection.steps[place];
@@ -253,9 +276,18 @@ fn resolve_equivalences(
 struct Alternative {
     effect: EffectTerm,
     model: FittedModel,
+    /// Whether its magnitude is plausible: another one is at most equivalent.
+    is_plausible: bool,
 }
 
-/// The alternative with the smallest `error`, and the others: equivalent ones and worse ones.
+impl Alternative {
+    fn new(effect: EffectTerm, model: FittedModel, recordings: usize) -> Self {
+        let is_plausible = model.is_plausible(&effect, recordings);
+        Self { effect, model, is_plausible }
+    }
+}
+
+/// The plausible alternative with the smallest `error`, and the others: equivalent ones and worse ones.
 struct Separated {
     best: Alternative,
     tied: Vec<Alternative>,
@@ -269,7 +301,10 @@ impl Separated {
         error: impl Fn(&FittedModel) -> f64,
         is_worse: impl Fn(&Alternative, &Alternative) -> bool,
     ) -> Option<Self> {
-        set.sort_by(|a, b| error(&a.model).total_cmp(&error(&b.model)));
+        set.sort_by(|a, b| {
+            let by_error = error(&a.model).total_cmp(&error(&b.model));
+            b.is_plausible.cmp(&a.is_plausible).then(by_error)
+        });
         let others = set.split_off(1.min(set.len()));
         let best = set.pop()?;
         let (worse, tied) = others.into_iter().partition(|other| is_worse(other, &best));
@@ -283,7 +318,7 @@ fn resolve_step(
     place: usize,
     options: FitOptions,
 ) -> Result<()> {
-    let recordings = prepared.rows.first().map_or(0, |rows| rows.parts.len());
+    let recordings = recording_count(prepared);
     let collinearity = selection.collinearity;
     let (Some(last), step) = (selection.stages.last(), &mut selection.steps[place]) else {
         return Ok(());
@@ -293,10 +328,10 @@ fn resolve_step(
     let instead = |other: &EffectTerm| {
         let effects = replaced(&last.effects, &step.chosen, other);
         let model = FittedModel::without_validation(prepared, effects, options).ok()?;
-        model.is_possible(recordings).then(|| Alternative { effect: other.clone(), model })
+        model.is_possible(recordings).then(|| Alternative::new(other.clone(), model, recordings))
     };
     let mut set: Vec<Alternative> = step.tied.par_iter().filter_map(instead).collect();
-    set.push(Alternative { effect: step.chosen.clone(), model: last.clone() });
+    set.push(Alternative::new(step.chosen.clone(), last.clone(), recordings));
     let is_hidden = |one: &Alternative, other: &Alternative| {
         collinearity.hides_the_difference(&one.effect, &other.effect)
     };
@@ -315,10 +350,10 @@ fn resolve_step(
         let close: Vec<Alternative> = std::iter::once(best).chain(tied).collect();
         // Transient effects require cross-validation within recordings for the whole set.
         let split = prepared.split(&[&last.effects[..], &step.tied].concat());
-        let fitted = close.into_par_iter().filter_map(|Alternative { effect, model }| {
+        let fitted = close.into_par_iter().filter_map(|Alternative { effect, model, .. }| {
             let model = model.on(all, split, options).ok()?;
             let is_kept = effect == step.chosen || model.is_possible(recordings);
-            is_kept.then_some(Alternative { effect, model })
+            is_kept.then(|| Alternative::new(effect, model, recordings))
         });
         let on_all = Separated::of(fitted.collect(), FittedModel::mean_square, |other, best| {
             !is_hidden(best, other) && best.model.is_distinguishably_better(&other.model)

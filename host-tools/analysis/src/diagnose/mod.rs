@@ -158,6 +158,8 @@ pub enum Reason {
     DriftsWithTime,
     /// It fits part of a residual with another cause.
     OtherCause,
+    /// It only fits with an implausible magnitude: it imitates another cause.
+    StandIn,
     /// Significant by itself, but not in a full fit.
     Unconfirmed,
     /// Much more than noise is unexplained; the covariate that it follows most, if any.

@@ -10,7 +10,7 @@ use model_export::effects::EffectTerm;
 use model_export::fit::FitOptions;
 use model_export::fit::campaign::FitSetup;
 use model_export::fit::cross_validation::CvSplit;
-use model_export::fit::effect_size::effect_sizes;
+use model_export::fit::effect_size::{EffectSize, effect_sizes};
 use model_export::fit::joint::JointFit;
 
 /// Maximum residual of a complete selection in noise floors; above it names are provisional.
@@ -42,10 +42,22 @@ pub struct AcceptedStep {
     pub form_gain: f64,
 }
 
+/// An effect that lowers the error in every fold with a magnitude that it cannot have: another cause that it imitates.
+pub struct StandIn {
+    /// The effect.
+    pub effect: EffectTerm,
+    /// Its magnitude in the fit.
+    pub size: EffectSize,
+    /// Relative reduction of the cross-validated squared error.
+    pub gain: f64,
+}
+
 /// Result of the selection.
 pub struct Selection {
     /// Accepted steps.
     pub steps: Vec<AcceptedStep>,
+    /// Effects that only fit with an implausible magnitude, each once.
+    pub stand_ins: Vec<StandIn>,
     /// Steps accepted on the sample that reduce the error of all rows by nothing.
     pub unconfirmed: Vec<AcceptedStep>,
     /// Models from the first to the last step.
@@ -124,6 +136,9 @@ pub const DISTINGUISHABLE: f64 = 0.005;
 
 /// Maximum excess of the squared error on the fitted rows of a comparable model, as a fraction.
 const MAX_EXCESS: f64 = 0.1;
+
+/// Minimum share of the excess over the noise that a step removes. Less is statistical significance without relevance.
+pub const MIN_RELEVANT: f64 = 0.05;
 
 /// Minimum plausible magnitude relative to the typical one.
 const MIN_MAGNITUDE: f64 = 0.03;
@@ -241,12 +256,23 @@ impl FittedModel {
             .all(|(new, old)| new.mean_square() <= (1.0 + DISTINGUISHABLE) * old.mean_square())
     }
 
-    /// Whether the effect added last has a plausible magnitude.
-    pub fn newest_is_plausible(&self, recordings: usize) -> bool {
-        let newest = effect_sizes(&self.fit, &self.effects, recordings).pop();
-        newest.is_none_or(|size| {
-            let tiny = size.value.abs() < MIN_MAGNITUDE * size.size.typical.abs();
-            size.is_plausible() && !tiny
+    /// Whether it removes a relevant share of what `before` leaves beyond the noise.
+    pub fn is_relevant(&self, before: &Self) -> bool {
+        let excess = before.mean_square() - before.fit.tally().floor_g().powi(2);
+        before.mean_square() - self.mean_square() >= MIN_RELEVANT * excess
+    }
+
+    /// Magnitude of one of its effects.
+    pub fn size_of(&self, effect: &EffectTerm, recordings: usize) -> Option<EffectSize> {
+        let place = self.effects.iter().position(|own| own == effect)?;
+        effect_sizes(&self.fit, &self.effects, recordings).into_iter().nth(place)
+    }
+
+    /// Whether one of its effects has a plausible magnitude, neither tiny nor within its own error.
+    pub fn is_plausible(&self, effect: &EffectTerm, recordings: usize) -> bool {
+        self.size_of(effect, recordings).is_none_or(|size| {
+            let tiny = size.largest < MIN_MAGNITUDE * size.size.typical.abs();
+            size.is_plausible() && size.is_determined() && !tiny
         })
     }
 

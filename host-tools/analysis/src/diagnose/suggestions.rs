@@ -115,7 +115,7 @@ pub fn suggest(diagnosis: &Diagnosis, typed: &Invocation) -> Suggestion {
         return suggestion(SuggestionKind::AlignClocks, vec![line(&words)]);
     }
     if let Some(sets) = sets(&diagnosis.accepted) {
-        let add = |set: &Vec<&String>| {
+        let add = |set: &Vec<&str>| {
             let mut rest = named(set, typed.own);
             rest.extend(["-o".to_owned(), better(typed.model)]);
             command("add", &rest)
@@ -124,14 +124,20 @@ pub fn suggest(diagnosis: &Diagnosis, typed: &Invocation) -> Suggestion {
             diagnosis.equivalent_formulas.iter().flat_map(|formula| &formula.effects);
         let equivalent_formulas: Vec<String> =
             equivalent_formulas.map(|effect| effect.name().to_owned()).collect();
-        let equivalent_formulas =
-            (!equivalent_formulas.is_empty()).then(|| equivalent_formulas.iter().collect());
+        let equivalent_formulas = (!equivalent_formulas.is_empty())
+            .then(|| equivalent_formulas.iter().map(String::as_str).collect());
         let commands: Vec<String> = sets.iter().chain(&equivalent_formulas).map(add).collect();
         let kind = match commands.len() {
             1 => SuggestionKind::AddEffects,
             _ => SuggestionKind::ChooseEffect,
         };
         return suggestion(kind, commands);
+    }
+    if !diagnosis.formulas.is_empty() {
+        // Structure remains, but what was found is a model to go on from.
+        let mut rest = named(&found_terms(diagnosis), typed.own);
+        rest.extend(["-o".to_owned(), better(typed.model)]);
+        return suggestion(SuggestionKind::AddEffects, vec![command("add", &rest)]);
     }
     let usable = |covariate: &&str| !MADE.contains(covariate);
     let covariates = diagnosis.unexplained.iter().map(|u| u.covariate.as_str());
@@ -161,7 +167,7 @@ fn clock_skew_ms(diagnosis: &Diagnosis) -> Option<f64> {
 }
 
 /// What to add together: what was found with, for the first tie, each of its members.
-fn sets(accepted: &[Vec<String>]) -> Option<Vec<Vec<&String>>> {
+fn sets(accepted: &[Vec<String>]) -> Option<Vec<Vec<&str>>> {
     let tie = accepted.iter().position(|step| step.len() > 1);
     let count = tie.map_or(accepted.len().min(1), |tie| accepted[tie].len());
     let set = |member: usize| {
@@ -171,13 +177,22 @@ fn sets(accepted: &[Vec<String>]) -> Option<Vec<Vec<&String>>> {
         };
         let places: Vec<usize> = steps.map(of_step).collect();
         let pairs = accepted.iter().zip(places);
-        pairs.filter_map(|(step, place)| step.get(place)).collect()
+        pairs.filter_map(|(step, place)| step.get(place).map(String::as_str)).collect()
     };
     (count > 0).then(|| (0..count).map(set).collect())
 }
 
+/// The effects of all steps: the first of equivalent ones, and all of a formula.
+fn found_terms(diagnosis: &Diagnosis) -> Vec<&str> {
+    let of_formulas =
+        diagnosis.formulas.iter().flat_map(|formula| formula.effects.iter().map(|of| of.name()));
+    let steps = diagnosis.staircase.iter().filter_map(|step| step.added.first());
+    let is_formula = |name: &str| diagnosis.formulas.iter().any(|formula| formula.name == name);
+    steps.map(String::as_str).filter(|name| !is_formula(name)).chain(of_formulas).collect()
+}
+
 /// Effects as `add` takes them: names of the catalogue first, then formulas with their ranges.
-fn named(set: &[&String], own: &[EffectTerm]) -> Vec<String> {
+fn named(set: &[&str], own: &[EffectTerm]) -> Vec<String> {
     let formula = |name: &str| {
         own.iter().find_map(|addition| match addition {
             EffectTerm::Expression(expression) if expression.name == name => Some(expression),
@@ -187,7 +202,7 @@ fn named(set: &[&String], own: &[EffectTerm]) -> Vec<String> {
     let (mut names, mut formulas) = (Vec::new(), Vec::new());
     for name in set {
         let Some(expression) = formula(name) else {
-            names.push((*name).clone());
+            names.push((*name).to_owned());
             continue;
         };
         formulas.extend(["--expr".to_owned(), expression.text.clone()]);

@@ -8,7 +8,7 @@ use crate::diagnose::{
     Diagnosis, DiscoveredFormula, Reason, StaircaseStep, Unexplained, Verdict, VerdictKind,
 };
 use model_export::effects::EffectTerm;
-use model_export::fit::effect_size::effect_sizes;
+use model_export::fit::effect_size::{EffectSize, effect_sizes};
 use model_export::fit::score_test::CandidateScore;
 
 /// Minimum typical magnitude in standard errors for a conclusive verdict.
@@ -191,6 +191,24 @@ fn of_rest(
         (VerdictKind::Absent, Reason::BelowBound((100.0 * evidence.bound).ceil() / 100.0))
     };
     let record = if kind == VerdictKind::Absent { String::new() } else { record };
+    if let Some(stand_in) = selection.stand_ins.iter().find(|of| of.effect == *effect) {
+        let EffectSize { value, std_error, size, .. } = &stand_in.size;
+        return Verdict {
+            provisional: !complete,
+            gain: stand_in.gain,
+            p_adjusted: screened.p_adjusted,
+            value: *value,
+            std_error: *std_error,
+            unit: size.unit.to_owned(),
+            z_typical: evidence.z_typical,
+            implausible: Some(size.plausible),
+            ..of_unjudged(&UntestableEffect {
+                effect: effect.name().to_owned(),
+                reason: Reason::StandIn,
+                record: String::new(),
+            })
+        };
+    }
     Verdict {
         effect: effect.name().to_owned(),
         kind,

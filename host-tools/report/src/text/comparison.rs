@@ -405,6 +405,7 @@ pub fn missing_forces(why: &MissingForces) -> String {
     match why {
         MissingForces::NotInvertible(why) => why.to_string(),
         MissingForces::NotCompensable(why) => why.to_string(),
+        MissingForces::NoTables(why) => format!("the tables cannot be built: {why}"),
         MissingForces::NoValidRow => {
             "no row has both a valid estimate and the reference forces".to_owned()
         }

@@ -734,6 +734,11 @@ pub fn reason(verdict: &Verdict) -> String {
             "the residual drifts with time more freely than this effect can".to_owned()
         }
         Reason::OtherCause => "it fits part of a residual with another cause".to_owned(),
+        Reason::StandIn => format!(
+            "it lowers the error by {:.1} %, but only with {}: another cause that it imitates",
+            100.0 * verdict.gain,
+            value(verdict.value, verdict.std_error, &verdict.unit)
+        ),
         Reason::Unconfirmed => {
             "the score test is significant, but no fit with it lowers the held-out error in every fold, with a plausible magnitude"
                 .to_owned()
@@ -771,8 +776,7 @@ pub fn reason(verdict: &Verdict) -> String {
         Reason::Unfitted(error) => format!("the base model cannot be fitted: {error}"),
     };
     if let Some((low, high)) = verdict.implausible {
-        text +=
-            &format!("; an implausible magnitude: typical are {low} to {high} {}", verdict.unit);
+        text += &format!("; plausible are {low} to {high} {}", verdict.unit);
     }
     text
 }
@@ -791,6 +795,9 @@ pub fn short_reason(verdict: &Verdict) -> String {
         Reason::FormOf(effect) => format!("form of {effect}"),
         Reason::DriftsWithTime => "drifts with time".to_owned(),
         Reason::OtherCause => "has another cause".to_owned(),
+        Reason::StandIn => {
+            format!("stand-in: {}", value(verdict.value, verdict.std_error, &verdict.unit))
+        }
         Reason::Unconfirmed => "not confirmed by a fit".to_owned(),
         Reason::UnexplainedResidual(_) => "much is unexplained".to_owned(),
         Reason::HardlyChangesField => "not detectable here".to_owned(),

@@ -27,7 +27,8 @@ pub const EFFECT: Effect = Effect {
         unit: "G",
         aggregation: Aggregation::Norm,
         typical: 0.48,
-        plausible: (0.2, 0.7),
+        // The steel of a building or robot changes it by up to a factor of two.
+        plausible: (0.12, 1.3),
         possible: (0.0, 5.0),
         ..MagnitudeSpec::DEFAULT
     },

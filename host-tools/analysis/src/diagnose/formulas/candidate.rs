@@ -169,6 +169,9 @@ impl Candidate {
             (own().fold(value, f64::min), own().fold(value, f64::max))
         };
         let (target, load) = point.target();
+        // A command has one range for each name: those of the second formula are p2, q2 and so on.
+        let number = name.rsplit('_').next().filter(|number| number.parse::<u32>().is_ok());
+        let suffix = number.filter(|number| *number != "1").unwrap_or_default();
         for (term, coefficient) in self.terms.iter().zip(COEFFICIENTS) {
             let mut factors = vec![coefficient.to_owned()];
             factors.extend(load.map(str::to_owned));
@@ -176,7 +179,7 @@ impl Candidate {
             for atom in term {
                 let own: Vec<String> = if has_ranges {
                     let names = NONLINEAR.iter().skip(used).take(atom.parameters.len());
-                    names.map(|name| (*name).to_owned()).collect()
+                    names.map(|name| format!("{name}{suffix}")).collect()
                 } else {
                     Vec::new()
                 };

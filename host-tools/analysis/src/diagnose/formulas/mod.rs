@@ -181,10 +181,11 @@ pub fn discover(
     selection.steps.truncate(steps);
     selection.stages.truncate(1 + steps);
     selection.stages.extend(found.stages);
-    remove_needless(setup, selection, options)?;
+    let mut formulas = found.formulas;
+    remove_needless(setup, selection, &mut formulas, options)?;
     observer.stage("screening candidates", FINAL);
     screen_last(campaign, setup, candidates, selection, options);
-    Ok(found.formulas)
+    Ok(formulas)
 }
 
 /// Formulas that explain as much as the effects of a selection at the noise floor, with as many terms at most, where the effects
@@ -237,31 +238,46 @@ pub fn equivalent_formulas(
     Ok(found.formulas)
 }
 
-/// Removes the effects of a selection that its last model, with formulas, does not need.
-fn remove_needless(setup: &FitSetup, selection: &mut Selection, options: FitOptions) -> Result<()> {
+/// Removes the effects and formulas that the last model does not need: beside all others they remove nothing relevant.
+fn remove_needless(
+    setup: &FitSetup,
+    selection: &mut Selection,
+    formulas: &mut Vec<DiscoveredFormula>,
+    options: FitOptions,
+) -> Result<()> {
     let mut place = 0;
-    while place < selection.steps.len() {
+    while selection.steps.len() + formulas.len() > 1
+        && place < selection.steps.len() + formulas.len()
+    {
         let Some(last) = selection.stages.last() else {
             return Ok(());
         };
-        let removed = &selection.steps[place].chosen;
+        let removed = match place.checked_sub(selection.steps.len()) {
+            None => vec![selection.steps[place].chosen.clone()],
+            Some(formula) => formulas[formula].effects.clone(),
+        };
         let others = |model: &FittedModel| -> Vec<EffectTerm> {
-            model.effects.iter().filter(|effect| *effect != removed).cloned().collect()
+            model.effects.iter().filter(|effect| !removed.contains(effect)).cloned().collect()
         };
         let split = last.fit.split;
         let without = FittedModel::new(setup, others(last), split, options)?;
-        if without.mean_square() > (1.0 + MIN_KEPT) * last.mean_square() {
+        let is_needed = last.gain(&without) > MIN_KEPT && last.is_relevant(&without);
+        if is_needed {
             place += 1;
             continue;
         }
         let last = selection.stages.len() - 1;
         let mut stages = selection.stages[..=place].to_vec();
-        for stage in &selection.stages[place + 2..last] {
+        for stage in selection.stages.get(place + 2..last).unwrap_or_default() {
             stages.push(FittedModel::new(setup, others(stage), split, options)?);
         }
         stages.push(without);
+        stages.truncate(selection.stages.len() - 1);
         selection.stages = stages;
-        selection.steps.remove(place);
+        match place.checked_sub(selection.steps.len()) {
+            None => drop(selection.steps.remove(place)),
+            Some(formula) => drop(formulas.remove(formula)),
+        }
     }
     Ok(())
 }
@@ -351,7 +367,8 @@ impl<'a> FormulaSearch<'a> {
             let Ok(next) = self.fitted(start, &all) else {
                 break;
             };
-            if next.gain(&model) < MIN_GAIN || !next.improves_all_folds(&model) {
+            let is_relevant = next.gain(&model) >= MIN_GAIN && next.is_relevant(&model);
+            if !is_relevant || !next.improves_all_folds(&model) {
                 break;
             }
             (accepted, model) = (all, next);
