@@ -119,24 +119,25 @@ pub fn listed(effects: &[String]) -> String {
 }
 
 fn verdict_table(diagnosis: &Diagnosis) -> String {
-    let mut table =
-        terminal::table(["effect", "verdict", "excess / N", "gain", "p", "magnitude or reason"]);
+    // The page has both.
+    let has_forces = diagnosis.verdicts.iter().any(|verdict| verdict.excess_n.is_some());
+    let error = if has_forces { "excess / N" } else { "gain" };
+    let mut table = terminal::table(["effect", "verdict", error, "p", "magnitude or reason"]);
+    table.set_width(NARROW_WIDTH);
     let (shown, hidden) = shown_verdicts(diagnosis);
+    let finite = |value: f64, text: String| if value.is_finite() { text } else { "-".to_owned() };
     for verdict in shown {
         table.add_row([
             verdict.effect.clone(),
             verdict_label(verdict),
-            verdict.excess_n.map_or_else(|| "-".to_owned(), |excess_n| format!("{excess_n:.3}")),
-            if verdict.gain.is_finite() {
-                format!("{:.1} %", 100.0 * verdict.gain.max(0.0))
-            } else {
-                "-".to_owned()
+            match (has_forces, verdict.excess_n) {
+                (true, None) => "-".to_owned(),
+                (true, Some(excess_n)) => format!("{excess_n:.3}"),
+                (false, _) => {
+                    finite(verdict.gain, format!("{:.1} %", 100.0 * verdict.gain.max(0.0)))
+                }
             },
-            if verdict.p_adjusted.is_finite() {
-                format!("{:.3}", verdict.p_adjusted)
-            } else {
-                "-".to_owned()
-            },
+            finite(verdict.p_adjusted, format!("{:.3}", verdict.p_adjusted)),
             short_reason(verdict),
         ]);
     }
@@ -144,8 +145,7 @@ fn verdict_table(diagnosis: &Diagnosis) -> String {
         table.add_row([
             format!("{hidden} others"),
             "INCONCLUSIVE".to_owned(),
-            "-".to_owned(),
-            format!("< {:.0} %", 100.0 * MIN_SHOWN),
+            if has_forces { "-".to_owned() } else { format!("< {:.0} %", 100.0 * MIN_SHOWN) },
             "-".to_owned(),
             "much is unexplained".to_owned(),
         ]);
