@@ -328,7 +328,11 @@ fn add_errors(sums: &mut ErrorSums, rows: &SensorRows, ranges: &[RowRange], mode
         for row in range.rows.clone() {
             let at = basis.linearise(&part.force_n[row]);
             let residual = part.field_g[row] - model.combine(&at.values);
-            sums.add(part, residual, at.per_newton.iter().map(|slopes| model.combine(slopes)));
+            sums.add(
+                (part, row),
+                residual,
+                at.per_newton.iter().map(|slopes| model.combine(slopes)),
+            );
         }
     }
 }

@@ -223,12 +223,15 @@ impl<'a> ScoreTest<'a> {
         for (s, sensor) in self.sensors.iter().enumerate() {
             let rows = &self.setup.rows[s];
             let base = self.setup.bases[s].as_ref();
-            let weights = SensorProblem::new(rows, base, &self.effects).weights;
+            let problem = SensorProblem::new(rows, base, &self.effects);
             let [kx, kz] = base.stiffness(&self.values[s]);
             let of_row = |(part, row, response): (usize, usize, &FieldResponse)| {
                 let (field, [fx, fz]) = change(s, part, row);
                 let moved = Vector3::new(fx / kx, 0.0, fz / kz);
-                <[f64; 3]>::from((field - response.per_mm * moved).component_mul(&weights))
+                <[f64; 3]>::from(
+                    (field - response.per_mm * moved)
+                        .component_mul(&problem.row_weights(part, row)),
+                )
             };
             let entries: Vec<f64> = sensor.linearisation.responses().flat_map(of_row).collect();
             let all: usize = rows.parts.iter().map(|part| part.len()).sum();
@@ -480,9 +483,10 @@ fn form_columns(
         for (row, state, response) in rows {
             let [fx, fz] =
                 problem.rows.parts[part].track.force_n[*row].map(|f| f / largest.max(1e-9));
-            let changes = states.iter().map(|states| {
-                response.change(&states[*row], state).component_mul(&problem.weights)
-            });
+            let weights = problem.row_weights(part, *row);
+            let changes = states
+                .iter()
+                .map(|states| response.change(&states[*row], state).component_mul(&weights));
             let changes: Vec<Vector3<f64>> = changes.collect();
             let modulated = [fx, fz, fx.abs(), fz.abs(), fx * fx, fz * fz];
             let modulated = modulated.iter().map(|factor| changes[0] * *factor);
