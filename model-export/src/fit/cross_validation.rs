@@ -3,6 +3,7 @@
 
 use crate::fit::rows::{RecordingRows, SensorRows};
 use crate::recordings::columns::Axis;
+use crate::recordings::dependence::BlockFolds;
 use nalgebra::Vector3;
 use std::ops::Range;
 
@@ -77,14 +78,14 @@ impl CvSplit {
         let parts = sensors.iter().flat_map(|rows| &rows.parts);
         let spans = parts.filter_map(|part| Some(part.time_s.last()? - part.time_s.first()?));
         let longest_s = spans.fold(0.0, f64::max) / FOLDS as f64;
+        // The casts saturate.
+        if let Some(BlockFolds { by_clock, .. }) = sensors.iter().find_map(|rows| rows.blocks) {
+            let block_s = (3.0 * correlation_s).min(longest_s).max(1e-3);
+            return Self::Blocks { block_ms: (1e3 * block_s).ceil() as u32, by_clock };
+        }
         let steps = (3.0 * correlation_s / BLOCK_STEP_S).ceil();
         let block_s = BLOCK_STEP_S * steps.min((longest_s / BLOCK_STEP_S).floor()).max(1.0);
-        // The cast saturates.
-        let block_ms = (1e3 * block_s).round() as u32;
-        match sensors.iter().find_map(|rows| rows.blocks) {
-            Some(blocks) => Self::Blocks { block_ms, by_clock: blocks.by_clock },
-            None => Self::Interleaved { block_ms },
-        }
+        Self::Interleaved { block_ms: (1e3 * block_s).round() as u32 }
     }
 
     /// Folds that hold out every row once. With [`CvSplit::KFold`], `gap_s` seconds on both sides of the test

@@ -38,6 +38,11 @@ struct ForceSpread {
     noise_n: f64,
 }
 
+/// Minimum number of rows of the geometric base: it has 14 parameters, several rows for each.
+const NEEDED: usize = 100;
+/// Minimum number of rows of a polynomial: that of a calibration with repeated loads.
+const NEEDED_BY_POLYNOMIAL: usize = 30;
+
 /// Maximum number of rows of a campaign that are fitted: half an hour at 100 Hz. The parameters are then determined far better than
 /// any model is right.
 pub const MAX_ROWS: usize = 180_000;
@@ -104,7 +109,7 @@ impl SensorRows {
                 });
             }
         }
-        Self::collect(campaign, sensor, forces)?.without_unloaded(campaign)
+        Self::collect(campaign, sensor, forces, NEEDED)?.without_unloaded(campaign)
     }
 
     /// Rows of `sensor` with the recorded forces of its own place or, where there are none, with all forces
@@ -136,7 +141,7 @@ impl SensorRows {
                 axis: "x and z",
             });
         }
-        Self::collect(campaign, sensor, forces)?.without_unloaded(campaign)
+        Self::collect(campaign, sensor, forces, NEEDED_BY_POLYNOMIAL)?.without_unloaded(campaign)
     }
 
     /// Without the forces that are zero within their noise, where another one moves.
@@ -150,7 +155,7 @@ impl SensorRows {
         if loaded.is_empty() || loaded.len() == self.forces.len() {
             return Ok(self);
         }
-        Self::collect(campaign, self.sensor, loaded)
+        Self::collect(campaign, self.sensor, loaded, NEEDED_BY_POLYNOMIAL)
     }
 
     fn spread(&self, force: usize) -> ForceSpread {
@@ -167,6 +172,7 @@ impl SensorRows {
         campaign: &Campaign,
         sensor: u32,
         forces: Vec<(u32, Axis)>,
+        needed: usize,
     ) -> Result<Self, FitError> {
         let mut before_s = 0.0;
         let mut parts = Vec::new();
@@ -179,8 +185,6 @@ impl SensorRows {
             before_s += recording.span_s();
         }
         let rows: usize = parts.iter().map(RecordingRows::len).sum();
-        // The geometric base has 14 parameters: several rows for each.
-        let needed = 100;
         let saturated = saturated_share(campaign, sensor);
         if rows < needed && saturated > 0.5 {
             return Err(FitError::Saturated {

@@ -99,6 +99,11 @@ impl CandidateScore {
     }
 }
 
+/// Correlation time in seconds by which blocks are as long as recordings that are not independent need; else zero.
+fn of_blocks(sensors: &[SensorRows]) -> f64 {
+    sensors.iter().find_map(|rows| rows.blocks).map_or(0.0, |blocks| blocks.correlation_s)
+}
+
 impl<'a> ScoreTest<'a> {
     /// Linearises `fit` with `effects`; blocks of `block_s` seconds.
     pub fn new(setup: &'a FitSetup, effects: &[EffectTerm], fit: &JointFit, block_s: f64) -> Self {
@@ -122,8 +127,11 @@ impl<'a> ScoreTest<'a> {
                     let time_s = rows.parts[part].track.time_s[row];
                     firsts[part] + (time_s / block_s) as usize
                 };
-                let parts = [CvSplit::of(&setup.rows), CvSplit::within(&setup.rows, 0.0)]
-                    .map(|split| part_of(&split.folds(rows, 0.0), &linearisation));
+                let parts = [
+                    CvSplit::of(&setup.rows),
+                    CvSplit::within(&setup.rows, of_blocks(&setup.rows)),
+                ]
+                .map(|split| part_of(&split.folds(rows, 0.0), &linearisation));
                 let block = linearisation.places().map(place).collect();
                 let stiffness = problem.base.stiffness(&values[s]);
                 let weights = problem.base.inverse_weights();

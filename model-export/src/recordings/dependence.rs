@@ -158,14 +158,18 @@ struct Path {
 impl Path {
     fn of(recording: &Recording) -> Self {
         let at = |column: &[f64]| resampled(&recording.time_s, column, recording.span_s());
-        let path = |column: &Vec<f64>| {
+        // A column that was set anew for each row has no path, but the field depends on it.
+        let follows = |name: &str| recording.noise.covariates.iter().any(|own| own == name);
+        let path = |(name, column): (&str, &Vec<f64>)| {
             let finite: Vec<f64> = column.iter().copied().filter(|v| v.is_finite()).collect();
-            let moves = von_neumann(&finite).is_some_and(|ratio| ratio < HAS_PATH);
+            let moves = von_neumann(&finite).is_some_and(|ratio| ratio < HAS_PATH || follows(name));
             (moves && column.len() == recording.time_s.len()).then(|| at(column))
         };
-        let forces = recording.forces.values().map(|force| &force.newtons);
-        let temperatures = recording.sensors.values().map(|sensor| &sensor.temperature_c);
-        let columns = forces.chain(recording.covariates.values()).chain(temperatures);
+        let forces = recording.forces.values().map(|force| ("", &force.newtons));
+        let sensors = recording.sensors.values();
+        let temperatures = sensors.map(|sensor| ("temp_c", &sensor.temperature_c));
+        let covariates = recording.covariates.iter().map(|(name, values)| (name.as_str(), values));
+        let columns = forces.chain(covariates).chain(temperatures);
         let axes = recording.sensors.values().flat_map(|sensor| {
             [0, 1, 2].map(|axis| {
                 let column: Vec<f64> = sensor.field_g.iter().map(|b| b[axis]).collect();

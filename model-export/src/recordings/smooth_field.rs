@@ -20,6 +20,8 @@ const MAX_DEGREE: usize = 5;
 const MAX_LEADING: usize = 3;
 /// Share of the residual that a covariate explains, from which it is a leading one.
 const LEADING_SHARE: f64 = 0.02;
+/// Time constants of the past of a covariate, as shares of the recording.
+const HISTORIES: [f64; 2] = [0.025, 0.1];
 /// Ridge relative to the mean of the diagonal.
 const RIDGE: f64 = 1e-11;
 /// Step of the derivative to a force, in half spans.
@@ -63,6 +65,18 @@ impl Scaled {
             half_span,
         })
     }
+}
+
+/// Values that follow a column with this time constant in seconds, from its first value on.
+fn low_pass(time_s: &[f64], values: &[f64], tau_s: f64) -> Vec<f64> {
+    let mut followed = values.first().copied().unwrap_or(0.0);
+    let mut before_s = time_s.first().copied().unwrap_or(0.0);
+    let follow = |(time_s, value): (&f64, &f64)| {
+        followed += (value - followed) * (1.0 - libm::exp(-(time_s - before_s) / tau_s));
+        before_s = *time_s;
+        followed
+    };
+    time_s.iter().zip(values).map(follow).collect()
 }
 
 /// Exponents of all monomials of `variables` up to `degree`.
@@ -221,7 +235,15 @@ impl SmoothField {
                 None => break,
             }
         }
-        let basis = basis(&leading);
+        // The field may follow the past of a covariate, as that of a sensor that warms slowly.
+        let span_s = recording.span_s();
+        let history = leading.iter().flat_map(|&place| {
+            HISTORIES.map(|share| low_pass(&time_s, &covariates[place].values, share * span_s))
+        });
+        let history: Vec<Vec<f64>> = history.collect();
+        let mut basis = basis(&leading);
+        let room = (rows.len() / ROWS_PER_TERM).saturating_sub(basis.len());
+        basis.further.extend(history.iter().take(room).map(Vec::as_slice));
         let (coefficients, residual_g) = basis.residual(&field)?;
         let mut slopes = vec![vec![Vector3::zeros(); forces.len()]; rows.len()];
         for (place, (force, load)) in loads.iter().enumerate() {
