@@ -4,6 +4,7 @@ use std::path::Path;
 
 use model_export::fit::cross_validation::CvSplit;
 use model_export::fit::rows::SensorRows;
+use model_export::fit::{FitOptions, campaign};
 use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
 use model_export::recordings::dependence::{Dependence, DependenceKind, dependences};
@@ -201,4 +202,42 @@ fn one_step_in_a_random_order_still_has_time() {
     });
     assert_eq!(recording(&drifting, &force).recordings[0].noise.order, RowOrder::Time);
     assert_eq!(recording(&hall, &force).recordings[0].noise.order, RowOrder::Shuffled);
+}
+
+/// Columns of a table of third parties, by name.
+fn columns(path: &Path, names: [&str; 2]) -> Vec<[f64; 2]> {
+    let text = std::fs::read_to_string(path).unwrap();
+    let header: Vec<&str> = text.lines().next().unwrap().split(',').collect();
+    let places = names.map(|name| header.iter().position(|own| *own == name).unwrap());
+    let row = |line: &str| {
+        let cells: Vec<&str> = line.split(',').collect();
+        places.map(|place| cells[place].trim().parse().unwrap())
+    };
+    text.lines().skip(1).map(row).collect()
+}
+
+#[test]
+fn load_cells_of_nist_have_their_certified_pure_error() {
+    let cases = [
+        ("nist_handbook", "loadcell.csv", ["load", "response"], 1.0, 4.14e-5),
+        ("nist_pontius", "pontius.csv", ["load", "deflection"], 1e-5, 2.147e-4),
+    ];
+    for (folder, file, names, scale, certified) in cases {
+        let Some(folder) = tests::real_data(folder) else { return };
+        let mut hall = "t_us,s0_x_gauss,s0_y_gauss,s0_z_gauss\n".to_owned();
+        let mut force = "t_us,f0_z_n\n".to_owned();
+        for (row, [load, y]) in columns(&folder.join(file), names).into_iter().enumerate() {
+            hall += &format!("{},{y},{y},{y}\n", 1000 * row);
+            force += &format!("{},{}\n", 1000 * row, scale * load);
+        }
+        let campaign = recording(&hall, &force);
+        let pure = campaign.recordings[0].noise.floor_g().unwrap();
+        assert!((pure / certified - 1.0).abs() < 2e-3, "{file}: {pure}");
+        let (fits, _) =
+            campaign::polynomial(&campaign, Some(2), FitOptions::default(), |_| ()).unwrap();
+        for score in fits.scores() {
+            let ratio = score.held_out_rms_g / score.floor_g;
+            assert!((0.8..1.5).contains(&ratio), "{file}: {ratio}");
+        }
+    }
 }
