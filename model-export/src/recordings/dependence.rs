@@ -20,7 +20,7 @@ pub enum DependenceKind {
     Overlap,
     /// Forces, covariates and field are equal functions of time: rows of one run in turn, or a programme repeated exactly.
     OneRun,
-    /// Forces and covariates are equal functions of time.
+    /// Forces and covariates are equal functions of time, the field is not.
     OnePath,
 }
 
@@ -55,7 +55,7 @@ const POINTS: usize = 200;
 /// Columns with a von Neumann ratio below this have a path; others are noise.
 const HAS_PATH: f64 = 0.3;
 /// Difference of the fields of one run in multiples of their noise.
-const ONE_RUN_NOISES: f64 = 1.5;
+const ONE_RUN_NOISES: f64 = 4.0;
 /// Maximum number of recordings that are compared with each other.
 const MAX_COMPARED: usize = 60;
 
@@ -83,14 +83,11 @@ pub fn dependences(campaign: &Campaign) -> Vec<Dependence> {
     grouped(pairs)
 }
 
-/// Blocks by which a campaign is cross-validated, where its recordings are not independent. One path of some of them only leaves
-/// the others to be held out.
+/// Blocks by which a campaign is cross-validated, where its recordings are not independent. Repeats of one path whose fields differ
+/// are: what differs between them is predicted of a recording that was held out.
 pub fn block_folds(campaign: &Campaign) -> Option<BlockFolds> {
     let found = dependences(campaign);
-    let binding = |one: &&Dependence| {
-        one.kind != DependenceKind::OnePath || one.recordings.len() == campaign.recordings.len()
-    };
-    let first = found.iter().find(binding)?;
+    let first = found.iter().find(|one| one.kind != DependenceKind::OnePath)?;
     let correlations = campaign.recordings.iter().map(|of| of.noise.correlation_s);
     Some(BlockFolds {
         by_clock: first.kind == DependenceKind::Overlap,

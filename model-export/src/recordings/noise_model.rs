@@ -188,14 +188,21 @@ impl SensorNoise {
         slopes.map(|(slope, rates)| slope * rates[row]).sum()
     }
 
-    /// Variance of the noise of each row without the jitter of the clock, relative to all of it.
-    fn precision(&self) -> impl Iterator<Item = f64> {
-        (0..self.smooth.rows.len()).map(|row| {
+    /// Variance of each row without the jitter of the clock, relative to all of it. What no smooth explains is part of it: where that
+    /// is more than the jitter, rows count alike.
+    fn precision(&self) -> Vec<f64> {
+        let rows = 0..self.smooth.rows.len();
+        let jitter: Vec<f64> =
+            rows.map(|row| self.per_second(row).norm_squared() * self.adjusted.clock).collect();
+        let mean = jitter.iter().sum::<f64>() / jitter.len().max(1) as f64;
+        let left = self.smooth.deviation_g().norm_squared() - mean;
+        let of_row = |(row, jitter): (usize, &f64)| {
             let slopes = self.smooth.slopes[row].iter().zip(&self.adjusted.forces);
             let forces = slopes.map(|(slope, variance)| slope.norm_squared() * variance);
-            let white = self.adjusted.field.sum() + forces.sum::<f64>();
-            white / (white + self.per_second(row).norm_squared() * self.adjusted.clock)
-        })
+            let white = left.max(self.adjusted.field.sum() + forces.sum::<f64>());
+            white / (white + jitter)
+        };
+        jitter.iter().enumerate().map(of_row).collect()
     }
 
     /// Mean square of the residual's differences, without disturbances.

@@ -20,7 +20,7 @@ fn dependent(kind: DependenceKind, recordings: &str, share: f64) -> String {
             "forces, covariates and field follow one path of time {recordings} ({percent} of their variance), within the noise: rows of one run in turn, or a programme repeated exactly"
         ),
         DependenceKind::OnePath => format!(
-            "forces and covariates follow one path of time {recordings} ({percent} of their variance)"
+            "forces and covariates follow one path of time {recordings} ({percent} of their variance), the field does not: repeats of one programme. Held out is one of these repeats, so no claim about other loads"
         ),
     };
     let cure = match kind {
@@ -29,9 +29,12 @@ fn dependent(kind: DependenceKind, recordings: &str, share: f64) -> String {
         DependenceKind::OneRun => "join the rows of a run, and record others with other loads",
         DependenceKind::OnePath => "record others with other loads and covariates",
     };
-    format!(
-        "{what}. They do not count as separate recordings: held out are blocks of time with a gap; {cure}"
-    )
+    match kind {
+        DependenceKind::OnePath => format!("{what}; {cure}"),
+        _ => format!(
+            "{what}. They do not count as separate recordings: held out are blocks of time with a gap; {cure}"
+        ),
+    }
 }
 
 /// Number of names in a list before "and n more".
