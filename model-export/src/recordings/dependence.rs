@@ -54,8 +54,8 @@ const ONE_PATH: f64 = 0.02;
 const POINTS: usize = 200;
 /// Columns with a von Neumann ratio below this have a path; others are noise.
 const HAS_PATH: f64 = 0.3;
-/// Difference of the fields of one run in multiples of their noise.
-const ONE_RUN_NOISES: f64 = 4.0;
+/// Median difference of the fields of one run in multiples of their noise: 0.95 from noise alone.
+const ONE_RUN_NOISES: f64 = 3.0;
 /// Maximum number of recordings that are compared with each other.
 const MAX_COMPARED: usize = 60;
 
@@ -201,9 +201,9 @@ impl Path {
         }
         let fields = self.fields.iter().zip(&other.fields).zip(&self.noise_g);
         let is_one_run = fields.clone().all(|((one, other), noise_g)| {
-            let squares = one.iter().zip(other).map(|(a, b)| (a - b).powi(2));
-            let rms_g = (squares.sum::<f64>() / one.len().max(1) as f64).sqrt();
-            rms_g < ONE_RUN_NOISES * std::f64::consts::SQRT_2 * noise_g
+            let mut apart: Vec<f64> = one.iter().zip(other).map(|(a, b)| (a - b).abs()).collect();
+            apart.sort_by(f64::total_cmp);
+            apart[apart.len() / 2] < ONE_RUN_NOISES * noise_g
         });
         let kind = if is_one_run { DependenceKind::OneRun } else { DependenceKind::OnePath };
         Some((kind, 1.0 - apart))

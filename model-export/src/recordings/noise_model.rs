@@ -194,8 +194,10 @@ impl SensorNoise {
         let rows = 0..self.smooth.rows.len();
         let jitter: Vec<f64> =
             rows.map(|row| self.per_second(row).norm_squared() * self.adjusted.clock).collect();
-        let mean = jitter.iter().sum::<f64>() / jitter.len().max(1) as f64;
-        let left = self.smooth.deviation_g().norm_squared() - mean;
+        let mut left: Vec<f64> = self.smooth.residual_g.iter().map(Vector3::norm_squared).collect();
+        left.sort_by(f64::total_cmp);
+        // The rows of knocks are few, and those of their jitter.
+        let left = left.get(left.len() / 2).copied().unwrap_or(0.0);
         let of_row = |(row, jitter): (usize, &f64)| {
             let slopes = self.smooth.slopes[row].iter().zip(&self.adjusted.forces);
             let forces = slopes.map(|(slope, variance)| slope.norm_squared() * variance);
