@@ -7,6 +7,7 @@ mod fitting;
 mod ideal_model;
 mod import;
 mod magnet_fields;
+mod noise_floor;
 mod orientation;
 mod polynomial_inverse;
 mod recording_errors;

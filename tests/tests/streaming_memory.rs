@@ -52,7 +52,7 @@ fn peak_of(seconds: u64) -> (usize, u64) {
     PEAK.store(before, Ordering::Relaxed);
     let (description, _) = RecordingDescription::read(folder.path()).unwrap();
     let mut stream =
-        AlignedStream::open(folder.path(), &description, Alignment { delay_us: 0.0 }).unwrap();
+        AlignedStream::open(folder.path(), &description, Alignment { delay_us: 0.0 }, 1.0).unwrap();
     let mut rows = 0;
     while stream.next_row().unwrap().is_some() {
         rows += 1;

@@ -15,6 +15,7 @@ use model_export::recordings::{Campaign, Location, Notice};
 use crate::compare::ForceError;
 use crate::compare::campaign_reader::check_distinct;
 use crate::compare::force_errors::{ForceEvaluation, held_out_forces};
+use crate::data_quality::campaign_checks::campaign_findings;
 use crate::data_quality::{Finding, scan_files};
 use crate::notes::{Note, collect};
 use crate::progress;
@@ -59,7 +60,8 @@ pub fn fit_model(
         let wrong_unit = findings.iter().find(|finding| finding.is_channel_unit()).cloned();
         notes.extend(campaign.notices().cloned().map(Note::Recording));
         notes.extend(unused_forces(&campaign).map(Note::Recording));
-        notes.extend(findings.into_iter().map(Box::new).map(Note::SetupError));
+        let findings = findings.into_iter().chain(campaign_findings(&campaign));
+        notes.extend(findings.map(Box::new).map(Note::SetupError));
         if let Some(finding) = wrong_unit {
             let advice = if finding.fix.is_some() {
                 "a fit with --fix NEW corrects a copy"

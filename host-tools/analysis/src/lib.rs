@@ -28,6 +28,7 @@ pub mod import;
 pub mod magnetic_disturbance;
 pub mod network_calibration;
 pub mod network_training;
+pub mod noise_floor;
 pub mod notes;
 pub mod numbers;
 pub mod progress;

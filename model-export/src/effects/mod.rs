@@ -294,6 +294,23 @@ impl EffectTerm {
         self.effect().is_some_and(|effect| effect.is_transient)
     }
 
+    /// True where it depends on the order of the rows: on time, on a rate, or on the past.
+    pub fn depends_on_order(&self) -> bool {
+        match self {
+            Self::Catalogue(effect) => {
+                let is_of_order =
+                    |one: &Signature| matches!(one, Signature::LoadHistory | Signature::Time);
+                effect.signatures.iter().any(is_of_order)
+            }
+            Self::Expression(formula) => {
+                let is_of_order = |name: &String| {
+                    matches!(name.as_str(), "time_s" | "session_s") || name.contains("_rate_")
+                };
+                formula.has_memory() || formula.covariates.iter().any(is_of_order)
+            }
+        }
+    }
+
     /// True where its action on a row depends on that row alone: it has no memory, and no later effect
     /// reads what it changes.
     pub fn is_pointwise(&self) -> bool {

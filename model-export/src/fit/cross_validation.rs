@@ -3,6 +3,7 @@
 
 use crate::fit::rows::{RecordingRows, SensorRows};
 use crate::recordings::columns::Axis;
+use crate::recordings::dependence::BlockFolds;
 use nalgebra::Vector3;
 use std::ops::Range;
 
@@ -14,6 +15,9 @@ pub const MAX_RECORDING_FOLDS: usize = 10;
 
 /// Step and minimum of the length of a block of [`CvSplit::Interleaved`] in seconds.
 const BLOCK_STEP_S: f64 = 0.25;
+
+/// Gap on both sides of a block of [`CvSplit::Blocks`] in blocks: one correlation time.
+const GAP: f64 = 1.0 / 3.0;
 
 /// A range of rows of one recording.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
@@ -46,11 +50,22 @@ pub enum CvSplit {
         /// of those that are fitted.
         block_ms: u32,
     },
+    /// The same where recordings are not independent: a block is held out of all of them at the same time, and a third of a block on
+    /// both sides of it is fitted in none.
+    Blocks {
+        /// Length of a block.
+        block_ms: u32,
+        /// Whether the time is that of the campaign's clock, not that since the start of each recording.
+        by_clock: bool,
+    },
 }
 
 impl CvSplit {
-    /// By recordings where there are several.
+    /// By recordings where there are several independent ones.
     pub fn of(sensors: &[SensorRows]) -> Self {
+        if let Some(blocks) = sensors.iter().find_map(|rows| rows.blocks) {
+            return Self::within(sensors, blocks.correlation_s);
+        }
         let recordings = sensors.iter().map(SensorRows::filled_parts).max().unwrap_or(0);
         if recordings < 2 {
             return Self::KFold;
@@ -63,9 +78,13 @@ impl CvSplit {
         let parts = sensors.iter().flat_map(|rows| &rows.parts);
         let spans = parts.filter_map(|part| Some(part.time_s.last()? - part.time_s.first()?));
         let longest_s = spans.fold(0.0, f64::max) / FOLDS as f64;
+        // The casts saturate.
+        if let Some(BlockFolds { by_clock, .. }) = sensors.iter().find_map(|rows| rows.blocks) {
+            let block_s = (3.0 * correlation_s).min(longest_s).max(1e-3);
+            return Self::Blocks { block_ms: (1e3 * block_s).ceil() as u32, by_clock };
+        }
         let steps = (3.0 * correlation_s / BLOCK_STEP_S).ceil();
         let block_s = BLOCK_STEP_S * steps.min((longest_s / BLOCK_STEP_S).floor()).max(1.0);
-        // The cast saturates.
         Self::Interleaved { block_ms: (1e3 * block_s).round() as u32 }
     }
 
@@ -81,6 +100,10 @@ impl CvSplit {
                 let block_s = 1e-3 * f64::from(block_ms);
                 (0..FOLDS).map(|fold| interleaved_fold(rows, fold, block_s)).collect()
             }
+            Self::Blocks { block_ms, by_clock } => {
+                let block_s = 1e-3 * f64::from(block_ms);
+                (0..FOLDS).map(|fold| common_fold(rows, fold, block_s, by_clock)).collect()
+            }
         }
     }
 
@@ -88,7 +111,7 @@ impl CvSplit {
     pub fn fold_of(self, part: usize) -> Option<usize> {
         match self {
             Self::Recordings(count) => Some(part * count.min(MAX_RECORDING_FOLDS) / count.max(1)),
-            Self::KFold | Self::Interleaved { .. } => None,
+            Self::KFold | Self::Interleaved { .. } | Self::Blocks { .. } => None,
         }
     }
 
@@ -139,6 +162,34 @@ fn interleaved_fold(rows: &SensorRows, fold: usize, block_s: f64) -> Fold {
     Fold { training: plain(training), test: plain(test) }
 }
 
+/// Blocks at the same times in all recordings.
+fn common_fold(rows: &SensorRows, fold: usize, block_s: f64, by_clock: bool) -> Fold {
+    let (mut training, mut test) = (Vec::new(), Vec::new());
+    for (place, part) in rows.parts.iter().enumerate() {
+        let start_s = if by_clock { part.track.start_s } else { 0.0 };
+        let first_s = part.time_s.first().copied().unwrap_or(0.0);
+        // Whether a row is held out (1), near such rows (2), or fitted (0).
+        let kind = |time_s: f64| {
+            let block = (time_s - first_s + start_s) / block_s;
+            let is_tested = |block: f64| block.floor().rem_euclid(FOLDS as f64) as usize == fold;
+            let near = [block - GAP, block + GAP];
+            if is_tested(block) { 1 } else { 2 * usize::from(near.into_iter().any(is_tested)) }
+        };
+        let kinds: Vec<usize> = part.time_s.iter().map(|time_s| kind(*time_s)).collect();
+        let mut from = 0;
+        for run in kinds.chunk_by(|a, b| a == b) {
+            let range = RowRange { part: place, rows: from..from + run.len() };
+            from += run.len();
+            match run[0] {
+                0 => training.push(range),
+                1 => test.push(range),
+                _ => {}
+            }
+        }
+    }
+    Fold { training, test }
+}
+
 /// Row ranges of about `length_s` seconds each.
 pub fn time_slices(time_s: &[f64], length_s: f64) -> Vec<Range<usize>> {
     let (Some(first), Some(last)) = (time_s.first(), time_s.last()) else {
@@ -171,10 +222,12 @@ pub struct AxisScore {
     pub span_g: f64,
 }
 
-/// Sums of squared errors and noise variances over rows.
+/// Sums of squared errors and noise variances over rows, each with the weight of its noise ([`RecordingRows::weight`]).
 #[derive(Clone, Copy, Debug)]
 pub struct ErrorSums {
     rows: usize,
+    /// Sum of the weights of the rows.
+    weight: f64,
     error: Vector3<f64>,
     floor: Vector3<f64>,
     /// Sum of squared off-plane residuals, and their number.
@@ -183,7 +236,13 @@ pub struct ErrorSums {
 
 impl Default for ErrorSums {
     fn default() -> Self {
-        Self { rows: 0, error: Vector3::zeros(), floor: Vector3::zeros(), off_plane: (0.0, 0) }
+        Self {
+            rows: 0,
+            weight: 0.0,
+            error: Vector3::zeros(),
+            floor: Vector3::zeros(),
+            off_plane: (0.0, 0),
+        }
     }
 }
 
@@ -191,15 +250,17 @@ impl ErrorSums {
     /// Adds one row: its residual in gauss, and dB/dF for each force in G/N.
     pub fn add(
         &mut self,
-        part: &RecordingRows,
+        (part, row): (&RecordingRows, usize),
         residual: Vector3<f64>,
         per_newton: impl IntoIterator<Item = Vector3<f64>>,
     ) {
         let per_newton: Vec<Vector3<f64>> = per_newton.into_iter().collect();
-        let floor = noise_variance(part, per_newton.iter().copied());
+        let floor = noise_variance(part, Some(row), per_newton.iter().copied());
+        let weight = part.weight(row);
         self.rows += 1;
-        self.error += residual.component_mul(&residual);
-        self.floor += floor;
+        self.weight += weight;
+        self.error += residual.component_mul(&residual) * weight;
+        self.floor += floor * weight;
         if let Some((_, off_plane)) = off_plane_residual(&per_newton, residual) {
             self.off_plane.0 += off_plane * off_plane;
             self.off_plane.1 += 1;
@@ -210,6 +271,7 @@ impl ErrorSums {
     pub fn with(self, other: &Self) -> Self {
         Self {
             rows: self.rows + other.rows,
+            weight: self.weight + other.weight,
             error: self.error + other.error,
             floor: self.floor + other.floor,
             off_plane: (self.off_plane.0 + other.off_plane.0, self.off_plane.1 + other.off_plane.1),
@@ -221,9 +283,13 @@ impl ErrorSums {
         self.rows
     }
 
+    fn all(&self) -> f64 {
+        if self.weight > 0.0 { self.weight } else { 1.0 }
+    }
+
     /// Noise floor, root mean square over rows and axes, in gauss.
     pub fn floor_g(&self) -> f64 {
-        (self.floor.sum() / (3 * self.rows.max(1)) as f64).sqrt()
+        (self.floor.sum() / (3.0 * self.all())).sqrt()
     }
 
     /// Root mean square in gauss of the residual normal to the plane of both forces' fields, which no force
@@ -235,17 +301,17 @@ impl ErrorSums {
 
     /// Mean squared error over all axes, in gauss squared.
     pub fn mean_square(&self) -> f64 {
-        self.error.sum() / (3 * self.rows.max(1)) as f64
+        self.error.sum() / (3.0 * self.all())
     }
 
     /// One score for each axis; `training` are the sums over the training rows.
     pub fn scores(&self, training: &Self, sensor: u32, span_g: Vector3<f64>) -> Vec<AxisScore> {
-        let rows = self.rows.max(1) as f64;
+        let rows = self.all();
         let axes = Axis::ALL.into_iter().enumerate();
         axes.map(|(i, axis)| AxisScore {
             sensor,
             axis,
-            fitted_rms_g: (training.error[i] / training.rows.max(1) as f64).sqrt(),
+            fitted_rms_g: (training.error[i] / training.all()).sqrt(),
             held_out_rms_g: (self.error[i] / rows).sqrt(),
             floor_g: (self.floor[i] / rows).sqrt(),
             span_g: span_g[i],
@@ -254,20 +320,23 @@ impl ErrorSums {
     }
 }
 
-/// Noise variance of one row, each axis, in gauss squared. Unknown noise (a recording of a few rows) counts as
-/// zero: the floor is then too low, never too high.
+/// Noise variance of one row (`None`: of a row at rest), each axis, in gauss squared. Unknown noise (a recording of a few rows)
+/// counts as zero: the floor is then too low, never too high.
 pub fn noise_variance(
     part: &RecordingRows,
+    row: Option<usize>,
     per_newton: impl IntoIterator<Item = Vector3<f64>>,
 ) -> Vector3<f64> {
     let known = |noise: f64| if noise.is_finite() { noise } else { 0.0 };
     let sensor = part.field_noise_g.map(|noise| known(noise).powi(2));
     let through = |(slope, noise): (Vector3<f64>, &f64)| (slope * known(*noise)).map(|x| x * x);
-    per_newton
-        .into_iter()
-        .zip(&part.force_noise_n)
-        .map(through)
-        .fold(sensor, |sum, term| sum + term)
+    let slopes: Vec<Vector3<f64>> = per_newton.into_iter().collect();
+    let forces = slopes.iter().copied().zip(&part.force_noise_n).map(through);
+    let white = forces.fold(sensor, |sum, term| sum + term);
+    // The forces of a row have one time stamp.
+    let jitter_n = row.and_then(|row| part.jitter_n.get(row)).map_or(&[][..], Vec::as_slice);
+    let jitter_g: Vector3<f64> = slopes.iter().zip(jitter_n).map(|(slope, n)| slope * *n).sum();
+    white + jitter_g.component_mul(&jitter_g)
 }
 
 /// Axis with the largest component of the normal of the plane of both forces' fields, and the distance of a
@@ -298,6 +367,8 @@ mod tests {
                 field_g: vec![Vector3::zeros(); time_s.len()],
                 field_noise_g: Vector3::zeros(),
                 force_noise_n: Vec::new(),
+                jitter_n: Vec::new(),
+                precision: Vec::new(),
                 track: ExcitationSeries { time_s: time_s.clone(), ..ExcitationSeries::default() },
                 time_s,
             }
@@ -309,6 +380,7 @@ mod tests {
             forces: Vec::new(),
             parts,
             stride: 1,
+            blocks: None,
         }
     }
 

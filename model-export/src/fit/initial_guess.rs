@@ -94,9 +94,9 @@ impl<'a> ShapeSearch<'a> {
                 let mut moved = values.to_vec();
                 moved[index] += step;
                 let moved = self.states(part, index, &moved);
-                for (i, ((_, state, response), moved)) in rows.iter().zip(&moved).enumerate() {
-                    let change =
-                        response.change(state, moved).component_mul(&problem.weights) / step;
+                for (i, ((row, state, response), moved)) in rows.iter().zip(&moved).enumerate() {
+                    let weights = problem.row_weights(part, *row);
+                    let change = response.change(state, moved).component_mul(&weights) / step;
                     (0..3).for_each(|axis| columns[(at + 3 * i + axis, column)] = change[axis]);
                 }
             }

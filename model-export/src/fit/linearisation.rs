@@ -46,11 +46,12 @@ impl Linearisation {
             let sampled: Vec<usize> = sampled(of.len(), per_recording).collect();
             for &row in &sampled {
                 let error = of.field_g[row] - modelled.fields[row];
+                let weights = problem.row_weights(part, row);
                 for axis in 0..3 {
-                    residual.push(error[axis] * problem.weights[axis]);
+                    residual.push(error[axis] * weights[axis]);
                     let row = jacobian.row(3 * row + axis);
                     let derivative = |column: &Option<usize>| {
-                        column.map_or(0.0, |column| row[column] * problem.weights[axis])
+                        column.map_or(0.0, |column| row[column] * weights[axis])
                     };
                     columns.extend(columns_of.iter().map(derivative));
                 }

@@ -309,9 +309,17 @@ fn is_small(forces: usize, degree: usize) -> bool {
     Polynomial::term_count(forces, degree).is_some_and(|terms| terms <= MAX_POLYNOMIAL_TERMS)
 }
 
+/// Gap between held-out and fitted rows in seconds, at most, and relative to the longest recording.
+const MAX_GAP_S: f64 = 1.0;
+const GAP: f64 = 1.0 / 24.0;
+
 fn held_out(rows: &SensorRows, spans: &[(f64, f64)], degree: usize) -> Result<ErrorSums, FitError> {
     let mut sums = ErrorSums::default();
-    for fold in CvSplit::of(std::slice::from_ref(rows)).folds(rows, 1.0) {
+    let span_s =
+        |part: &RecordingRows| part.time_s.last().zip(part.time_s.first()).map(|(b, a)| b - a);
+    let longest_s = rows.parts.iter().filter_map(span_s).fold(0.0, f64::max);
+    let gap_s = MAX_GAP_S.min(GAP * longest_s);
+    for fold in CvSplit::of(std::slice::from_ref(rows)).folds(rows, gap_s) {
         if fold.test.iter().all(|range| range.rows.is_empty()) {
             continue;
         }
@@ -328,7 +336,11 @@ fn add_errors(sums: &mut ErrorSums, rows: &SensorRows, ranges: &[RowRange], mode
         for row in range.rows.clone() {
             let at = basis.linearise(&part.force_n[row]);
             let residual = part.field_g[row] - model.combine(&at.values);
-            sums.add(part, residual, at.per_newton.iter().map(|slopes| model.combine(slopes)));
+            sums.add(
+                (part, row),
+                residual,
+                at.per_newton.iter().map(|slopes| model.combine(slopes)),
+            );
         }
     }
 }

@@ -274,6 +274,11 @@ impl<'a> SensorProblem<'a> {
         }
     }
 
+    /// Reciprocal noise floor of a row, each axis.
+    pub fn row_weights(&self, part: usize, row: usize) -> Vector3<f64> {
+        self.weights * self.rows.parts[part].weight(row).sqrt()
+    }
+
     fn axis_weights(&self) -> Vector3<f64> {
         let values: Vec<f64> = self.parameters.iter().map(|index| index.start).collect();
         let [kx, kz] = self.base.stiffness(&values);
@@ -282,7 +287,7 @@ impl<'a> SensorProblem<'a> {
         let per_newton = [rest[0].per_mm.column(0) / kx, rest[0].per_mm.column(2) / kz];
         let part = self.rows.parts.iter().max_by_key(|part| part.len());
         let floor = part.map_or_else(Vector3::zeros, |part| {
-            noise_variance(part, self.rows.slopes(&per_newton))
+            noise_variance(part, None, self.rows.slopes(&per_newton))
         });
         // Without noise (a synthetic recording) all axes have equal weight.
         floor.map(|variance| 1.0 / variance.sqrt().max(1e-3))

@@ -7,6 +7,8 @@ use crate::effects::excitation::LoadCycleCounter;
 use crate::fit::FitError;
 use crate::physics::SensorOrientation;
 use crate::recordings::columns::Axis;
+use crate::recordings::dependence::{BlockFolds, block_folds};
+use crate::recordings::noise_model::jitter_n;
 use crate::recordings::{Campaign, Location, Recording};
 
 /// Minimum standard deviation of a force, in standard deviations of its noise.
@@ -25,6 +27,8 @@ pub struct SensorRows {
     pub parts: Vec<RecordingRows>,
     /// One in this many rows of the campaign is used: more than one where it has more than [`MAX_ROWS`].
     pub stride: usize,
+    /// Folds of a campaign whose recordings are not independent.
+    pub blocks: Option<BlockFolds>,
 }
 
 /// Mean and standard deviation of a force over all rows, and its noise, in newtons.
@@ -33,6 +37,11 @@ struct ForceSpread {
     sigma_n: f64,
     noise_n: f64,
 }
+
+/// Minimum number of rows of the geometric base: it has 14 parameters, several rows for each.
+const NEEDED: usize = 100;
+/// Minimum number of rows of a polynomial: that of a calibration with repeated loads.
+const NEEDED_BY_POLYNOMIAL: usize = 30;
 
 /// Maximum number of rows of a campaign that are fitted: half an hour at 100 Hz. The parameters are then determined far better than
 /// any model is right.
@@ -56,6 +65,10 @@ pub struct RecordingRows {
     pub field_noise_g: Vector3<f64>,
     /// White noise of one reference row in newtons, each force.
     pub force_noise_n: Vec<f64>,
+    /// Error of each force in newtons by the jitter of the reference's clock, one standard deviation, by row; empty without jitter.
+    pub jitter_n: Vec<Vec<f64>>,
+    /// Variance of the noise without the jitter relative to all of it, by row: the weight of its square; empty without jitter.
+    pub precision: Vec<f64>,
     /// Covariates of the same rows.
     pub track: ExcitationSeries,
 }
@@ -96,7 +109,7 @@ impl SensorRows {
                 });
             }
         }
-        Self::collect(campaign, sensor, forces)?.without_unloaded(campaign)
+        Self::collect(campaign, sensor, forces, NEEDED)?.without_unloaded(campaign)
     }
 
     /// Rows of `sensor` with the recorded forces of its own place or, where there are none, with all forces
@@ -128,7 +141,7 @@ impl SensorRows {
                 axis: "x and z",
             });
         }
-        Self::collect(campaign, sensor, forces)?.without_unloaded(campaign)
+        Self::collect(campaign, sensor, forces, NEEDED_BY_POLYNOMIAL)?.without_unloaded(campaign)
     }
 
     /// Without the forces that are zero within their noise, where another one moves.
@@ -142,7 +155,7 @@ impl SensorRows {
         if loaded.is_empty() || loaded.len() == self.forces.len() {
             return Ok(self);
         }
-        Self::collect(campaign, self.sensor, loaded)
+        Self::collect(campaign, self.sensor, loaded, NEEDED_BY_POLYNOMIAL)
     }
 
     fn spread(&self, force: usize) -> ForceSpread {
@@ -159,6 +172,7 @@ impl SensorRows {
         campaign: &Campaign,
         sensor: u32,
         forces: Vec<(u32, Axis)>,
+        needed: usize,
     ) -> Result<Self, FitError> {
         let mut before_s = 0.0;
         let mut parts = Vec::new();
@@ -171,8 +185,6 @@ impl SensorRows {
             before_s += recording.span_s();
         }
         let rows: usize = parts.iter().map(RecordingRows::len).sum();
-        // The geometric base has 14 parameters: several rows for each.
-        let needed = 100;
         let saturated = saturated_share(campaign, sensor);
         if rows < needed && saturated > 0.5 {
             return Err(FitError::Saturated {
@@ -189,7 +201,14 @@ impl SensorRows {
                 needed,
             });
         }
-        Ok(Self { sensor, orientation: SensorOrientation::default(), forces, parts, stride })
+        Ok(Self {
+            sensor,
+            orientation: SensorOrientation::default(),
+            forces,
+            parts,
+            stride,
+            blocks: block_folds(campaign),
+        })
     }
 
     /// The rows of a sensor, which are in its own axes, in those of the gripper.
@@ -329,6 +348,10 @@ impl RecordingRows {
             field_g: usable.iter().map(|&i| Vector3::from(track.field_g[i])).collect(),
             field_noise_g: Vector3::from(track.noise_g) * recording.noise_gain,
             force_noise_n: loads.iter().map(|load| load.noise_n).collect(),
+            jitter_n: jitter_n(recording, forces, &usable),
+            precision: recording.noise.precision.get(&sensor).map_or_else(Vec::new, |of| {
+                usable.iter().filter_map(|&row| of.get(row).copied()).collect()
+            }),
             track: ExcitationSeries::new(recording, place, sensor, pair(forces), &usable),
         }
     }
@@ -375,8 +398,15 @@ impl RecordingRows {
             field_g: rows.iter().map(|&row| self.field_g[row]).collect(),
             field_noise_g: self.field_noise_g,
             force_noise_n: self.force_noise_n.clone(),
+            jitter_n: rows.iter().filter_map(|&row| self.jitter_n.get(row).cloned()).collect(),
+            precision: rows.iter().filter_map(|&row| self.precision.get(row).copied()).collect(),
             track: self.track.at(rows),
         }
+    }
+
+    /// Weight of the squares of a row.
+    pub fn weight(&self, row: usize) -> f64 {
+        self.precision.get(row).copied().unwrap_or(1.0)
     }
 
     /// Number of rows.

@@ -99,6 +99,11 @@ impl CandidateScore {
     }
 }
 
+/// Correlation time in seconds by which blocks are as long as recordings that are not independent need; else zero.
+fn of_blocks(sensors: &[SensorRows]) -> f64 {
+    sensors.iter().find_map(|rows| rows.blocks).map_or(0.0, |blocks| blocks.correlation_s)
+}
+
 impl<'a> ScoreTest<'a> {
     /// Linearises `fit` with `effects`; blocks of `block_s` seconds.
     pub fn new(setup: &'a FitSetup, effects: &[EffectTerm], fit: &JointFit, block_s: f64) -> Self {
@@ -122,8 +127,11 @@ impl<'a> ScoreTest<'a> {
                     let time_s = rows.parts[part].track.time_s[row];
                     firsts[part] + (time_s / block_s) as usize
                 };
-                let parts = [CvSplit::of(&setup.rows), CvSplit::within(&setup.rows, 0.0)]
-                    .map(|split| part_of(&split.folds(rows, 0.0), &linearisation));
+                let parts = [
+                    CvSplit::of(&setup.rows),
+                    CvSplit::within(&setup.rows, of_blocks(&setup.rows)),
+                ]
+                .map(|split| part_of(&split.folds(rows, 0.0), &linearisation));
                 let block = linearisation.places().map(place).collect();
                 let stiffness = problem.base.stiffness(&values[s]);
                 let weights = problem.base.inverse_weights();
@@ -223,12 +231,15 @@ impl<'a> ScoreTest<'a> {
         for (s, sensor) in self.sensors.iter().enumerate() {
             let rows = &self.setup.rows[s];
             let base = self.setup.bases[s].as_ref();
-            let weights = SensorProblem::new(rows, base, &self.effects).weights;
+            let problem = SensorProblem::new(rows, base, &self.effects);
             let [kx, kz] = base.stiffness(&self.values[s]);
             let of_row = |(part, row, response): (usize, usize, &FieldResponse)| {
                 let (field, [fx, fz]) = change(s, part, row);
                 let moved = Vector3::new(fx / kx, 0.0, fz / kz);
-                <[f64; 3]>::from((field - response.per_mm * moved).component_mul(&weights))
+                <[f64; 3]>::from(
+                    (field - response.per_mm * moved)
+                        .component_mul(&problem.row_weights(part, row)),
+                )
             };
             let entries: Vec<f64> = sensor.linearisation.responses().flat_map(of_row).collect();
             let all: usize = rows.parts.iter().map(|part| part.len()).sum();
@@ -480,9 +491,10 @@ fn form_columns(
         for (row, state, response) in rows {
             let [fx, fz] =
                 problem.rows.parts[part].track.force_n[*row].map(|f| f / largest.max(1e-9));
-            let changes = states.iter().map(|states| {
-                response.change(&states[*row], state).component_mul(&problem.weights)
-            });
+            let weights = problem.row_weights(part, *row);
+            let changes = states
+                .iter()
+                .map(|states| response.change(&states[*row], state).component_mul(&weights));
             let changes: Vec<Vector3<f64>> = changes.collect();
             let modulated = [fx, fz, fx.abs(), fz.abs(), fx * fx, fz * fz];
             let modulated = modulated.iter().map(|factor| changes[0] * *factor);

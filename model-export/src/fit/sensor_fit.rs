@@ -212,7 +212,7 @@ pub fn add_errors(
         let modelled = problem.predict(place.part, scaled);
         for row in ranges.iter().flat_map(|range| range.rows.clone()) {
             let residual = part.field_g[row] - modelled.fields[row];
-            tally.add(part, residual, problem.rows.slopes(&modelled.per_newton[row]));
+            tally.add((part, row), residual, problem.rows.slopes(&modelled.per_newton[row]));
         }
     }
 }

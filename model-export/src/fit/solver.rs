@@ -79,8 +79,7 @@ impl Descent<'_> {
                     return;
                 }
                 let modelled = responses.iter().map(|response| response.field_g);
-                let measured = &self.problem.rows.parts[part].field_g[rows.clone()];
-                let residuals = weighted(self.problem, jacobian, measured, modelled);
+                let residuals = weighted(self.problem, jacobian, (part, rows.start), modelled);
                 for range in within {
                     let rows = 3 * (range.start - rows.start)..3 * (range.end - rows.start);
                     sum += &Block::of((&*jacobian, &acting, scaled.len()), &residuals, rows);
@@ -126,25 +125,27 @@ pub fn weighted_jacobian(
     scaled: &DVector<f64>,
 ) -> (DMatrix<f64>, Vec<f64>) {
     let (modelled, mut jacobian) = problem.linearise(part, scaled);
-    let measured = &problem.rows.parts[part].field_g;
-    let residuals = weighted(problem, &mut jacobian, measured, modelled.fields.into_iter());
+    let residuals = weighted(problem, &mut jacobian, (part, 0), modelled.fields.into_iter());
     (jacobian, residuals)
 }
 
-/// Weights a Jacobian of these rows; returns their weighted residuals.
+/// Weights a Jacobian of the rows of a recording from `first` on; returns their weighted residuals.
 fn weighted(
     problem: &SensorProblem,
     jacobian: &mut DMatrix<f64>,
-    measured: &[Vector3<f64>],
-    modelled: impl Iterator<Item = Vector3<f64>>,
+    (part, first): (usize, usize),
+    modelled: impl ExactSizeIterator<Item = Vector3<f64>>,
 ) -> Vec<f64> {
-    let weights = &problem.weights;
+    let measured = &problem.rows.parts[part].field_g[first..];
+    let weights: Vec<Vector3<f64>> =
+        (first..first + modelled.len()).map(|row| problem.row_weights(part, row)).collect();
     for mut column in jacobian.column_iter_mut() {
-        for row in column.as_mut_slice().chunks_exact_mut(3) {
+        for (row, weights) in column.as_mut_slice().chunks_exact_mut(3).zip(&weights) {
             row.iter_mut().zip(weights.iter()).for_each(|(v, w)| *v *= w);
         }
     }
-    let errors = measured.iter().zip(modelled).flat_map(|(measured, modelled)| {
+    let errors = measured.iter().zip(modelled).zip(&weights);
+    let errors = errors.flat_map(|((measured, modelled), weights)| {
         let error = (measured - modelled).component_mul(weights);
         [error.x, error.y, error.z]
     });

@@ -67,7 +67,7 @@ impl Aligner {
         self.samples.len() * self.samples.front().map_or(0, |sample| sample.values.len())
     }
 
-    /// Mean over the window around `centre_us`; calls must be in ascending order of time.
+    /// Mean over the window around `centre_us`, of no width the interpolated value there; calls must be in ascending order of time.
     pub fn mean_around(&mut self, centre_us: f64) -> Window {
         let (from, to) = (centre_us - self.half_width_us, centre_us + self.half_width_us);
         while self.samples.get(1).is_some_and(|second| second.t_us <= from) {
@@ -75,9 +75,26 @@ impl Aligner {
         }
         match (self.samples.front(), self.samples.back()) {
             (Some(first), _) if first.t_us > from => Window::Uncovered,
+            (Some(_), Some(last)) if last.t_us >= to && from == to => self.interpolate(centre_us),
             (Some(_), Some(last)) if last.t_us >= to => self.average(from, to),
             _ => Window::NeedsMore,
         }
+    }
+
+    fn interpolate(&self, at_us: f64) -> Window {
+        let Some(before) = self.samples.front() else { return Window::NeedsMore };
+        let after = self.samples.get(1).filter(|_| before.t_us < at_us).unwrap_or(before);
+        let step = after.t_us - before.t_us;
+        if step > self.gap_us {
+            return Window::Uncovered;
+        }
+        let fraction = if step > 0.0 { (at_us - before.t_us) / step } else { 0.0 };
+        let pairs = before.values.iter().zip(&after.values);
+        let values = match fraction {
+            0.0 => before.values.clone(),
+            _ => pairs.map(|(a, b)| a + fraction * (b - a)).collect(),
+        };
+        Window::Ready(WindowMean { values, noise_gain: fraction.hypot(1.0 - fraction) })
     }
 
     fn average(&self, from: f64, to: f64) -> Window {

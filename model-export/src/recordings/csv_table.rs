@@ -350,6 +350,11 @@ impl CsvTable {
         Ok(periods.get(periods.len() / 2).copied().unwrap_or(0.0))
     }
 
+    /// Times of the rows that [`CsvTable::median_period`] has buffered.
+    pub fn buffered_times(&self) -> impl Iterator<Item = f64> {
+        self.buffered.iter().map(|row| row.cells[self.time_column])
+    }
+
     /// The next row, without consuming it.
     pub fn peek(&mut self) -> Result<Option<&CsvRow>, DataError> {
         if self.buffered.is_empty()

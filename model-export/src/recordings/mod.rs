@@ -7,10 +7,13 @@
 //! - [`description`]: `recording.toml`: sensor scale and nominal design.
 //! - [`csv_table`]: streaming reader of `.csv` and `.csv.gz` with validation and clock checks.
 //! - [`noise`]: white-noise estimate from third differences.
+//! - [`noise_model`]: noise of the aligned rows by several estimators, and whether their order carries time.
+//! - [`smooth_field`]: the smooth that removes the motion of the load from that estimate.
 //! - [`align`]: resampling of the board's stream onto the reference clock.
 //! - [`stream`]: rows of one recording, on the reference clock or at the board's rate.
 //! - [`recording`]: one recording, validated, aligned and in memory.
 //! - [`campaign`]: all recordings of one gripper.
+//! - [`dependence`]: recordings of a campaign that are not independent.
 //! - [`mapping`]: mapping files and attitude conversion for imports.
 //! - [`import`]: conversion of third-party tables to a campaign.
 //! - [`mcap`]: topics of MCAP files and ROS 2 bags as tables, and the writer of MCAP files.
@@ -20,6 +23,7 @@ pub mod align;
 pub mod campaign;
 pub mod columns;
 pub mod csv_table;
+pub mod dependence;
 pub mod description;
 pub mod error;
 pub mod guess;
@@ -27,8 +31,10 @@ pub mod import;
 pub mod mapping;
 pub mod mcap;
 pub mod noise;
+pub mod noise_model;
 mod readers;
 pub mod recording;
+pub mod smooth_field;
 pub mod stream;
 pub mod units;
 

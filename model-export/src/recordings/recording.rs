@@ -13,6 +13,7 @@ use crate::recordings::align::Alignment;
 use crate::recordings::columns::{Axis, ChannelLayout, ForceColumn, HallColumn};
 use crate::recordings::description::RecordingDescription;
 use crate::recordings::error::{DataError, ErrorKind, Location, Notice};
+use crate::recordings::noise_model::NoiseEstimate;
 use crate::recordings::stream::{AlignedRow, AlignedStream, StreamSummary};
 
 /// One uninterrupted run on the reference clock.
@@ -40,6 +41,8 @@ pub struct Recording {
     pub rows_read: (u64, u64),
     /// Gaps, saturation, skipped rows, unknown keys.
     pub notices: Vec<Notice>,
+    /// Estimators of the noise.
+    pub noise: NoiseEstimate,
     sha256: OnceLock<String>,
 }
 
@@ -63,11 +66,33 @@ pub struct ForceSeries {
     pub noise_n: f64,
 }
 
+/// Half an averaging window in seconds from which the load may move within it.
+const SLOW_S: f64 = 0.0125;
+/// Width of the narrow window relative to the period of the reference.
+const NARROW: f64 = 1.0 / 3.0;
+/// Board rows in the wide window, at least, so that the narrow one averages as well.
+const DENSE_ROWS: f64 = 20.0;
+/// Noise with the narrow window relative to that with the wide one, up to which it is better.
+const CLEARLY_LESS: f64 = 0.95;
+
 impl Recording {
-    /// Reads the recording in `folder`.
+    /// Reads the recording in `folder`. The rows of a slow reference may be means over its period or samples of a moment: the field is
+    /// averaged over that of two windows which leaves less of it.
     pub fn read(folder: &Path, alignment: Alignment) -> Result<Self, DataError> {
+        let wide = Self::read_averaged(folder, alignment, 1.0)?;
+        if wide.half_width_s < SLOW_S || wide.noise_gain.powi(-2) < DENSE_ROWS {
+            return Ok(wide);
+        }
+        let narrow = Self::read_averaged(folder, alignment, NARROW)?;
+        let left_g = |one: &Self| one.noise.floor_g().unwrap_or(f64::INFINITY);
+        let is_better = left_g(&narrow) < CLEARLY_LESS * left_g(&wide);
+        Ok(if is_better { narrow } else { wide })
+    }
+
+    /// Reads it with the window of the aligned field scaled by `width`.
+    fn read_averaged(folder: &Path, alignment: Alignment, width: f64) -> Result<Self, DataError> {
         let (description, notices) = RecordingDescription::read(folder)?;
-        let mut stream = AlignedStream::open(folder, &description, alignment)?;
+        let mut stream = AlignedStream::open(folder, &description, alignment, width)?;
         let mut recording = Self {
             name: recording_name(folder),
             folder: folder.to_path_buf(),
@@ -80,6 +105,7 @@ impl Recording {
             noise_gain: 0.0,
             rows_read: (0, 0),
             notices,
+            noise: NoiseEstimate::default(),
             sha256: OnceLock::new(),
         };
         let layout = stream.layout().clone();
@@ -93,6 +119,7 @@ impl Recording {
         }
         recording.noise_gain = (squares / recording.time_s.len() as f64).sqrt();
         recording.finish(&layout, stream.summary());
+        recording.noise = NoiseEstimate::of(&mut recording);
         Ok(recording)
     }
 
@@ -124,6 +151,7 @@ impl Recording {
             forces: BTreeMap::new(),
             covariates: BTreeMap::new(),
             notices: Vec::new(),
+            noise: self.noise.clone(),
             sha256: self.sha256.clone(),
             ..*self
         }

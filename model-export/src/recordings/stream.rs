@@ -40,6 +40,15 @@ pub struct StreamSummary {
     pub notices: Vec<Notice>,
 }
 
+/// Difference of two clocks in periods, up to which both tables are of one logger.
+const ONE_CLOCK: f64 = 0.01;
+
+/// Whether both tables begin with rows at the same times.
+fn is_one_clock(hall: &HallReader, force: &ForceReader) -> bool {
+    let mut pairs = hall.table.buffered_times().zip(force.table.buffered_times());
+    hall.period_us > 0.0 && pairs.all(|(a, b)| (a - b).abs() <= ONE_CLOCK * hall.period_us)
+}
+
 /// A recording resampled onto the reference clock.
 pub struct AlignedStream {
     layout: ChannelLayout,
@@ -58,14 +67,19 @@ pub struct AlignedStream {
 }
 
 impl AlignedStream {
-    /// Opens both tables and reads their headers and clocks.
+    /// Opens both tables and reads their headers and clocks. The field is averaged over `width` periods of the slower table.
     pub fn open(
         folder: &Path,
         description: &RecordingDescription,
         alignment: Alignment,
+        width: f64,
     ) -> Result<Self, DataError> {
         let (hall, force, layout) = open_readers(folder, description)?;
-        let half_width_us = 0.5 * force.period_us.max(hall.period_us);
+        let half_width_us = match is_one_clock(&hall, &force) {
+            // Its rows are pairs already; an average would mix neighbours.
+            true => 0.0,
+            false => 0.5 * width * force.period_us.max(hall.period_us),
+        };
         // With a slower board, no board row may enter two aligned rows.
         let board_is_slower = hall.period_us > 1.05 * force.period_us;
         let min_step_us = if board_is_slower { 0.95 * hall.period_us } else { 0.0 };

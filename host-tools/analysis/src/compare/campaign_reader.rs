@@ -133,6 +133,11 @@ impl CampaignReader {
         Ok(source)
     }
 
+    /// All recordings, where they are in memory.
+    pub fn cached(&self) -> Option<&Campaign> {
+        self.cache.as_ref()
+    }
+
     /// Fails if two recordings are the same data.
     ///
     /// # Errors

@@ -16,6 +16,7 @@ use model_export::model_file::{FieldPrediction, ModelFile};
 use model_export::physics::SensorOrientation;
 use model_export::physics::sensor::force_per_field;
 use model_export::recordings::columns::Axis;
+use model_export::recordings::noise_model::NoiseEstimate;
 use model_export::recordings::{Campaign, DataError, Notice, Recording};
 use nalgebra::Vector3;
 use rayon::prelude::*;
@@ -55,6 +56,8 @@ pub struct FieldEvaluation {
     pub spans_s: Vec<f64>,
     /// Notices of the reader on the recordings.
     pub notices: Vec<Notice>,
+    /// Noise of the recordings.
+    pub noise: Vec<NoiseEstimate>,
 }
 
 /// Evaluates the field of every sensor that model and recordings have in common; the others are added to `notes`.
@@ -73,6 +76,7 @@ pub fn evaluate_fields(
         origins_s: Vec::new(),
         spans_s: Vec::new(),
         notices: Vec::new(),
+        noise: Vec::new(),
     };
     let mut first: Option<Recording> = None;
     let mut before_s = 0.0;
@@ -101,6 +105,7 @@ pub fn evaluate_fields(
             evaluation.origins_s.push(origin_s.unwrap_or(0.0));
             evaluation.spans_s.push(recording.span_s());
             evaluation.notices.extend(recording.notices.iter().cloned());
+            evaluation.noise.push(recording.noise.clone());
             first.get_or_insert_with(|| recording.without_rows());
             bar.inc(1);
         }
@@ -234,9 +239,9 @@ impl SensorEvaluation {
             let predicted = self.predict(model, planned, &mut part)?;
             for row in modelled.field_g.len()..end {
                 let slopes = predicted.per_newton[row].iter().copied();
-                let floor = noise_variance(&part, slopes);
+                let floor = noise_variance(&part, Some(row), slopes);
                 modelled.field_g.push(predicted.field_g[row]);
-                modelled.reference_g2.push(floor - noise_variance(&part, []));
+                modelled.reference_g2.push(floor - noise_variance(&part, None, []));
                 modelled.floor_g2.push(floor);
             }
         }
@@ -269,7 +274,7 @@ impl SensorEvaluation {
         let (residual, own) = (minus(&modelled.field_g), minus(&modelled.own.field_g));
         let step = recording.description.gauss_per_lsb.unwrap_or(0.0) * recording.noise_gain;
         let steps = Vector3::repeat(step * step / 12.0);
-        let white = noise_variance(part, []);
+        let white = noise_variance(part, None, []);
         for (row, error) in residual.iter().enumerate() {
             for axis in 0..3 {
                 self.errors[axis].add(part.field_g[row][axis], error[axis]);

@@ -13,6 +13,7 @@
 use std::borrow::Cow;
 
 use crate::data_quality::Finding;
+use crate::noise_floor::NoiseSummary;
 use crate::notes::Note;
 use crate::statistics::{ErrorStatistics, pooled_rms};
 use model_export::effects::ErrorOrigin;
@@ -37,6 +38,9 @@ pub mod residual_table;
 
 /// Residuals up to this factor times the floor are indistinguishable from noise.
 pub const AT_FLOOR: f64 = 1.15;
+
+/// Residuals below this factor times the floor show that the floor is too high: no model is better than the noise.
+pub const BELOW_FLOOR: f64 = 0.9;
 
 /// Cross-validated error over all channels, in gauss.
 pub fn rms_g(axes: &[FieldAxisErrors]) -> f64 {
@@ -105,7 +109,9 @@ impl ErrorRows {
             Validation::CrossValidated { split, .. } => match *split {
                 CvSplit::Recordings(_) => Self::LeaveRecordingOut,
                 CvSplit::KFold => Self::LeaveSixthOut,
-                CvSplit::Interleaved { block_ms } => Self::LeaveBlocksOut { block_ms },
+                CvSplit::Interleaved { block_ms } | CvSplit::Blocks { block_ms, .. } => {
+                    Self::LeaveBlocksOut { block_ms }
+                }
             },
         }
     }
@@ -271,6 +277,8 @@ pub struct Comparison {
     pub traces: Vec<Trace>,
     /// Errors of lateral and longitudinal force over all sensors, as in the paper's Fig. 8.
     pub histograms: Vec<Histogram>,
+    /// Noise of the recordings, and how it was estimated.
+    pub noise: NoiseSummary,
     /// Provenance of the results; `None` if a setup error stops the comparison.
     pub provenance: Option<ComparisonProvenance>,
     /// Notes on the recordings and on the models, including the baseline model.

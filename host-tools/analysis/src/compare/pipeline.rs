@@ -11,8 +11,10 @@ use crate::compare::residual_table::{ResidualTable, error_unit, residual_map, wo
 use crate::compare::{
     Attribution, Comparison, ComparisonProvenance, EffectOrigin, FieldAxisErrors, NoiseFloor,
 };
+use crate::data_quality::campaign_checks::{campaign_findings, follows_field};
 use crate::data_quality::model_checks::SensorPrediction;
 use crate::data_quality::{Finding, check_against_model, merge};
+use crate::noise_floor::NoiseSummary;
 use crate::notes::{Note, collect};
 use crate::progress;
 use anyhow::Result;
@@ -72,7 +74,12 @@ pub fn setup_errors_of(
         Some(source) => model_findings(source, model, &model.effect_terms(path)?)?,
         None => Vec::new(),
     };
-    Ok(merge(scanned.findings.clone(), of_model))
+    let mut findings = merge(scanned.findings.clone(), of_model);
+    if let Some(campaign) = scanned.reader.as_ref().and_then(CampaignReader::cached) {
+        findings.retain(|finding| !follows_field(finding, campaign));
+        findings.extend(campaign_findings(campaign));
+    }
+    Ok(findings)
 }
 
 /// [`compare`] on a campaign that is already open, with its setup errors ([`setup_errors_of`]). `refit` is a fit of the model to all of its recordings, if known.
@@ -234,6 +241,7 @@ pub(crate) fn evaluate(
         },
         worst: worst_intervals(&columns, &names, &fields.spans_s),
         correlation_s,
+        noise: NoiseSummary::of(fields.noise.iter()),
         traces: fields.traces,
         histograms: device.histograms,
         provenance: Some(provenance(model, &plan, block_s, options)),

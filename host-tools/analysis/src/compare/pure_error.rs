@@ -241,6 +241,8 @@ mod tests {
             field_g: PONTIUS.iter().map(|(_, y)| Vector3::repeat(*y)).collect(),
             field_noise_g: Vector3::zeros(),
             force_noise_n: vec![0.0],
+            jitter_n: Vec::new(),
+            precision: Vec::new(),
             track: Default::default(),
         };
         let rows = SensorRows {
@@ -249,6 +251,7 @@ mod tests {
             forces: vec![(0, Axis::Z)],
             parts: vec![part],
             stride: 1,
+            blocks: None,
         };
         let model = polynomial::fit(&rows, Some(degree), FitOptions::default()).unwrap().model;
         let mut groups: Vec<(f64, Vec<f64>)> = Vec::new();

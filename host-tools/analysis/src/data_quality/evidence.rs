@@ -1,10 +1,29 @@
 //! Evidence of the setup errors, as data.
 
+use model_export::recordings::dependence::DependenceKind;
 use serde::Serialize;
+
+use crate::noise_floor::Disagreement;
 
 /// What a check found, with the figures that support it. Values are in the unit of their column unless stated.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub enum Evidence {
+    /// Recordings that are not independent.
+    DependentRecordings {
+        /// Why.
+        kind: DependenceKind,
+        /// The recordings.
+        recordings: RecordingSet,
+        /// Least share of rows, time or variance that two of them have in common.
+        share: f64,
+    },
+    /// Rows in an order without time.
+    ShuffledRows {
+        /// The recordings.
+        recordings: RecordingSet,
+    },
+    /// Two estimates of the noise disagree.
+    NoiseDisagreement(Disagreement),
     /// Timestamps decrease.
     ClockBackwards {
         /// Number of decreases.

@@ -3,11 +3,13 @@
 //! - [`scan`]: one tolerant pass over every file, in constant memory.
 //! - [`checks`]: findings from the files alone.
 //! - [`model_checks`]: findings that need a model's prediction.
+//! - [`campaign_checks`]: findings from the aligned recordings together.
 //! - [`evidence`]: what a check found.
 //! - [`fix`]: unambiguous corrections, and writing a corrected campaign.
 //!
 //! Each cause is reported once: later checks skip the columns that an earlier finding explains.
 
+pub mod campaign_checks;
 pub mod checks;
 pub mod evidence;
 pub mod fix;

@@ -7,6 +7,7 @@ use model_export::effects::excitation::{BUILT_IN_COVARIATES, OPENING_RATE, sourc
 use model_export::effects::{CATALOGUE, EffectTerm};
 use model_export::fit::score_test::{CandidateScore, ScoreTest};
 use model_export::model_file::{BaseKind, ModelFile};
+use model_export::recordings::noise_model::RowOrder;
 use model_export::recordings::{Campaign, Recording};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -70,13 +71,17 @@ fn obstacle(
             return Some(Reason::NeedsForce);
         }
     }
+    let is_shuffled = |recording: &Recording| recording.noise.order == RowOrder::Shuffled;
+    if candidate.depends_on_order() && campaign.recordings.iter().any(is_shuffled) {
+        return Some(Reason::NoTimeOrder);
+    }
     for column in candidate.needs() {
         let columns = campaign.recordings.iter().map(|recording| values(recording, &column));
         let columns: Vec<Vec<f64>> = columns.collect();
         if columns.iter().any(Vec::is_empty) {
             return Some(Reason::NotRecorded(column));
         }
-        if !varies(&columns) {
+        if !varies(&columns) && !moves_field(campaign, &column) {
             return Some(Reason::DoesNotVary(column));
         }
     }
@@ -103,10 +108,13 @@ pub fn varying_covariates(campaign: &Campaign, axes: [bool; 2]) -> Vec<String> {
     };
     let recorded = first.covariates.keys().map(String::as_str);
     let has_opening = first.covariates.contains_key("opening_mm");
+    let mut orders = campaign.recordings.iter().map(|recording| recording.noise.order);
+    let is_shuffled = orders.any(|order| order == RowOrder::Shuffled);
     let names = BUILT_IN_COVARIATES.into_iter().chain(recorded);
     names
         .chain(has_opening.then_some(OPENING_RATE))
         .filter(|name| match *name {
+            "time_s" | "fx_rate_n_per_s" | "fz_rate_n_per_s" | OPENING_RATE if is_shuffled => false,
             // The load varies, else it could not be fitted.
             "fx_n" | "fx_rate_n_per_s" => axes[0],
             "fz_n" | "fz_rate_n_per_s" => axes[1],
@@ -115,11 +123,18 @@ pub fn varying_covariates(campaign: &Campaign, axes: [bool; 2]) -> Vec<String> {
                 let name = source_column(name);
                 let columns = campaign.recordings.iter().map(|recording| values(recording, name));
                 let columns: Vec<Vec<f64>> = columns.collect();
-                columns.iter().all(|column| !column.is_empty()) && varies(&columns)
+                columns.iter().all(|column| !column.is_empty())
+                    && (varies(&columns) || moves_field(campaign, name))
             }
         })
         .map(str::to_owned)
         .collect()
+}
+
+/// Whether the field of a recording depends on a column: one that was set anew for each row varies like noise.
+fn moves_field(campaign: &Campaign, column: &str) -> bool {
+    let mut recordings = campaign.recordings.iter();
+    recordings.any(|recording| recording.noise.covariates.iter().any(|own| own == column))
 }
 
 /// Minimum ratio of a column's standard deviation to its noise.

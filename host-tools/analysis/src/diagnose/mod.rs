@@ -33,6 +33,7 @@ use crate::diagnose::residuals::{residuals_against, shapes};
 use crate::diagnose::selection::Selection;
 pub use crate::diagnose::suggestions::{Suggestion, SuggestionKind};
 use crate::diagnose::verdicts::conclude;
+use crate::noise_floor::NoiseSummary;
 use anyhow::{Context, Result};
 use model_export::effects::{EffectTerm, find};
 use model_export::fit::FitOptions;
@@ -89,6 +90,8 @@ pub struct Diagnosis {
     pub remaining: Option<RemainingStructure>,
     /// True if the residual is indistinguishable from noise.
     pub at_floor: bool,
+    /// Noise of the recordings, and how it was estimated.
+    pub noise: NoiseSummary,
     /// Cross-validated error after every step.
     pub staircase: Vec<StaircaseStep>,
     /// Effects of the last step whose error is not one of the device's model.
@@ -182,6 +185,8 @@ pub enum Reason {
     NotRecorded(String),
     /// A column does not vary beyond its noise.
     DoesNotVary(String),
+    /// The order of the rows carries no time.
+    NoTimeOrder,
     /// The base model cannot be fitted, with the error.
     Unfitted(String),
 }
@@ -382,6 +387,8 @@ pub fn diagnose(
     }
     let mut diagnosis = conclude(&selection, &formulas, &untestable, campaign.recordings.len());
     diagnosis.set_equivalent_formulas(equivalent_formulas);
+    diagnosis.noise = NoiseSummary::of(campaign.recordings.iter().map(|one| &one.noise));
+    diagnosis.at_floor &= diagnosis.noise.disagreement.is_none();
     diagnosis.rows = [sample.row_count(), prepared.row_count()];
     diagnosis.recordings = [sample.recording_count(), prepared.recording_count()];
     if !observer.is_stopped() {

@@ -608,6 +608,8 @@ impl Template {
             field_g: vec![Vector3::zeros(); count],
             field_noise_g: self.field_noise_g,
             force_noise_n: self.force_noise_n.clone(),
+            jitter_n: Vec::new(),
+            precision: Vec::new(),
             track,
             time_s,
         }

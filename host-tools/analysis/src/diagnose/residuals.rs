@@ -51,9 +51,9 @@ pub fn residuals_against(
                 let modelled = problem.predict(place, &scaled);
                 let errors = part.field_g.iter().zip(&modelled.fields);
                 let left: Vec<Vector3<f64>> = errors.map(|(b, m)| b - m).collect();
-                let slopes = modelled.per_newton.iter();
+                let slopes = modelled.per_newton.iter().enumerate();
                 let floor: Vec<Vector3<f64>> = slopes
-                    .map(|per_newton| noise_variance(part, rows.slopes(per_newton)))
+                    .map(|(row, slopes)| noise_variance(part, Some(row), rows.slopes(slopes)))
                     .collect();
                 columns.push(place, &part.track, &left, &floor, 1);
             }

@@ -1,6 +1,6 @@
 //! From a selection to verdicts.
 
-use crate::compare::AT_FLOOR;
+use crate::compare::{AT_FLOOR, BELOW_FLOOR};
 use crate::diagnose::candidates::{ScreenedEffect, UntestableEffect};
 use crate::diagnose::selection::FittedModel;
 use crate::diagnose::selection::{AcceptedStep, Selection};
@@ -26,7 +26,7 @@ pub fn conclude(
     };
     let complete = selection.is_complete();
     let mut diagnosis = Diagnosis {
-        at_floor: last.floors() <= AT_FLOOR,
+        at_floor: (BELOW_FLOOR..=AT_FLOOR).contains(&last.floors()),
         accepted: if complete {
             let of_formulas = formulas.iter().flat_map(|formula| &formula.effects);
             let of_formulas = of_formulas.map(|effect| vec![effect.name().to_owned()]);

@@ -1,9 +1,11 @@
 //! Text and JSON of a comparison.
 
+use crate::text::diagnosis::below_floor;
 use analysis::compare::attribution::MIN_SHARE;
 use analysis::compare::{
-    AT_FLOOR, Attribution, Bin, Comparison, ErrorUnit, FieldAxisErrors, ForceAxisErrors,
-    ForceError, MeanCondition, MissingForces, Validation, WorstInterval, floor_g, rms_g,
+    AT_FLOOR, Attribution, BELOW_FLOOR, Bin, Comparison, ErrorUnit, FieldAxisErrors,
+    ForceAxisErrors, ForceError, MeanCondition, MissingForces, Validation, WorstInterval, floor_g,
+    rms_g,
 };
 use analysis::data_quality::Finding;
 use analysis::numbers::{self, field, three_digits};
@@ -136,7 +138,7 @@ fn field_table(comparison: &Comparison) -> String {
     terminal::right_align(&mut table, 1);
     format!(
         "{HEADING}Held-out field residual (measured minus model){HEADING:#}\n{table}\n{}\n",
-        floor_sentence(&comparison.axes)
+        floor_sentence(comparison)
     )
 }
 
@@ -169,7 +171,8 @@ fn error_cells(
 }
 
 /// Components of the noise floor.
-fn floor_sentence(axes: &[FieldAxisErrors]) -> String {
+fn floor_sentence(comparison: &Comparison) -> String {
+    let axes = &comparison.axes;
     let mean = |of: &dyn Fn(&FieldAxisErrors) -> Option<f64>| {
         let values: Vec<f64> = axes.iter().filter_map(of).collect();
         (!values.is_empty()).then(|| numbers::field(pooled_rms(values)))
@@ -188,6 +191,7 @@ fn floor_sentence(axes: &[FieldAxisErrors]) -> String {
         Some(scatter) => format!("; scatter of repeated loads {scatter}."),
         None => "; too few repeated loads for their scatter.".to_owned(),
     };
+    text += &format!(" {}", comparison.noise.sentence());
     terminal::paragraph(&text)
 }
 
@@ -382,6 +386,7 @@ fn cross_validation(split: CvSplit, seen: usize, refitted: usize, all: usize) ->
             "an effect is transient: every sixth block of {} s is predicted by a fit to the rest",
             numbers::decimal(1e-3 * f64::from(block_ms), 3)
         ),
+        CvSplit::Blocks { block_ms, .. } => &dependent_blocks(block_ms),
     };
     let some = if refitted < seen {
         format!(
@@ -398,6 +403,14 @@ fn cross_validation(split: CvSplit, seen: usize, refitted: usize, all: usize) ->
         }
     };
     format!("{how}{some}{unseen}")
+}
+
+/// What held out means where the recordings are not independent.
+pub fn dependent_blocks(block_ms: u32) -> String {
+    format!(
+        "the recordings are not independent (see the findings): every sixth block of {} s, at the same time in all of them, is predicted by a fit to the rest without a third of a block on both sides; held out are other times of one run, so no claim about other recordings",
+        numbers::decimal(1e-3 * f64::from(block_ms), 3)
+    )
 }
 
 /// Why forces are missing.
@@ -505,6 +518,7 @@ pub fn to_json(comparison: &Comparison) -> Value {
         "not_recorded": comparison.not_recorded,
         "worst": comparison.worst.iter().map(worst_json).collect::<Vec<_>>(),
         "correlation_s": comparison.correlation_s,
+        "noise": comparison.noise,
         "verdict": verdict(comparison),
     });
     if let (Some(other), Some(fields)) = (&comparison.other, object.as_object_mut()) {
@@ -575,7 +589,16 @@ fn conclusion(comparison: &Comparison) -> String {
     }
     let worst =
         comparison.axes.iter().map(|axis| axis.error.rms / axis.floor.total).fold(0.0, f64::max);
+    if rms < BELOW_FLOOR * floor {
+        return below_floor(rms, floor);
+    }
     let chosen: Vec<&Attribution> = comparison.located.iter().filter(|l| l.chosen).collect();
+    if comparison.noise.disagreement.is_some() && rms <= AT_FLOOR * floor {
+        return format!(
+            "Inconclusive: {error}, the floor of {} is uncertain: see the findings.",
+            field(floor)
+        );
+    }
     if rms <= AT_FLOOR * floor && worst <= AT_FLOOR * AT_FLOOR {
         if let Some(lead) = chosen.first() {
             return format!(

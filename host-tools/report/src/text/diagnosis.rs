@@ -1,6 +1,6 @@
 //! Text and JSON of a diagnosis.
 
-use analysis::compare::{AT_FLOOR, ForceError};
+use analysis::compare::{AT_FLOOR, BELOW_FLOOR, ForceError};
 use analysis::diagnose::candidates::{LEVEL, MIN_GAIN};
 use analysis::diagnose::remaining_structure::RemainingStructure;
 use analysis::diagnose::{
@@ -31,6 +31,7 @@ pub fn format_report(diagnosis: &Diagnosis) -> String {
     }
     page += &verdict_table(diagnosis);
     page += &step_table(diagnosis);
+    page += &(paragraph(&diagnosis.noise.sentence()) + "\n");
     page += &accepted_effects(diagnosis);
     page += &discovered_formulas(diagnosis);
     page += &equivalent_effects(diagnosis);
@@ -521,6 +522,7 @@ pub fn to_json(diagnosis: &Diagnosis) -> Value {
         "equivalent_formulas": diagnosis.equivalent_formulas.iter().map(|one| formula_json(diagnosis, one)).collect::<Vec<_>>(),
         "unexplained": unexplained_json(diagnosis),
         "at_floor": diagnosis.at_floor,
+        "noise": diagnosis.noise,
         "interrupted": diagnosis.is_interrupted,
         "staircase": diagnosis.staircase,
         "rows": { "selected_by": diagnosis.rows[0], "all": diagnosis.rows[1] },
@@ -665,6 +667,15 @@ pub fn physics(verdict: &Verdict) -> &'static str {
     find(&verdict.effect).map_or("A user-defined effect.", |effect| effect.physics)
 }
 
+/// That the residual is below the floor, with both numbers in gauss.
+pub fn below_floor(rms_g: f64, floor_g: f64) -> String {
+    format!(
+        "The residual, {}, is below the noise floor, {}: the floor is too high, and it is not known what of the residual is noise. Record a rest of ten seconds, or repeat some loads.",
+        field(rms_g),
+        field(floor_g)
+    )
+}
+
 /// Summary in one paragraph; empty without a result.
 pub fn verdict(diagnosis: &Diagnosis) -> String {
     if diagnosis.findings.iter().any(|finding| finding.stops) {
@@ -686,7 +697,13 @@ pub fn verdict(diagnosis: &Diagnosis) -> String {
         (false, true) => format!("Missing: {}", steps.join("; ")),
         (false, false) => format!("Provisionally missing: {}", steps.join("; ")),
     };
+    if floors < BELOW_FLOOR {
+        return format!("{missing}. {}", below_floor(last.held_out_rms_g, last.floor_g));
+    }
     match (diagnosis.is_complete, diagnosis.unexplained.first()) {
+        (true, _) if floors <= AT_FLOOR && !diagnosis.at_floor => format!(
+            "{missing}. The residual is then {rms}, {floors:.2} times a floor that is uncertain: see the findings."
+        ),
         (true, _) if diagnosis.at_floor => {
             format!(
                 "{missing}. The residual is then {rms}, {floors:.2} times the floor: at the noise floor."
@@ -773,6 +790,7 @@ pub fn reason(verdict: &Verdict) -> String {
         Reason::NeedsForce => "it acts through a force, and no force was recorded".to_owned(),
         Reason::NotRecorded(column) => format!("{column} was not recorded"),
         Reason::DoesNotVary(column) => format!("{column} does not vary beyond its noise"),
+        Reason::NoTimeOrder => "the order of the rows carries no time".to_owned(),
         Reason::Unfitted(error) => format!("the base model cannot be fitted: {error}"),
     };
     if let Some((low, high)) = verdict.implausible {
@@ -817,6 +835,7 @@ pub fn short_reason(verdict: &Verdict) -> String {
             }
         }
         Reason::NotRecorded(column) => format!("no {column}"),
+        Reason::NoTimeOrder => "rows without time".to_owned(),
         Reason::NeedsGeometry
         | Reason::InPolynomial
         | Reason::NeedsForce

@@ -1,5 +1,6 @@
 //! Text and JSON of a model with other effects.
 
+use crate::text::comparison::dependent_blocks;
 use analysis::compare::{AT_FLOOR, EffectOrigin};
 use analysis::diagnose::candidates::MIN_GAIN;
 use analysis::edit_model::ModelEdit;
@@ -179,6 +180,9 @@ fn error_table(edit: &ModelEdit) -> String {
             "cross-validated on interleaved blocks of {} s: an effect is transient within recordings",
             numbers::decimal(1e-3 * f64::from(block_ms), 3)
         ),
+        CvSplit::Blocks { block_ms, .. } => {
+            format!("cross-validated; {}", dependent_blocks(block_ms))
+        }
         CvSplit::KFold => {
             "cross-validated on sixths of every recording: an effect is specific to recordings"
                 .to_owned()

@@ -5,7 +5,37 @@ use analysis::data_quality::evidence::{
     ColumnError, ColumnSet, Evidence, LineSource, Magnitude, RecordingSet,
 };
 use analysis::data_quality::fix::{Fix, FixKind};
-use analysis::numbers::decimal;
+use analysis::numbers::{decimal, field};
+use model_export::recordings::dependence::DependenceKind;
+
+/// Recordings that are not independent, with the consequence.
+fn dependent(kind: DependenceKind, recordings: &str, share: f64) -> String {
+    let percent = percent(share);
+    let what = match kind {
+        DependenceKind::Copy => format!("{percent} of the rows {recordings} are the same rows"),
+        DependenceKind::Overlap => format!(
+            "the clocks {recordings} overlap by {percent}: one gripper has one field at a time, so these are rows of one run, or the starts are wrong"
+        ),
+        DependenceKind::OneRun => format!(
+            "forces, covariates and field follow one path of time {recordings} ({percent} of their variance), within the noise: rows of one run in turn, or a programme repeated exactly"
+        ),
+        DependenceKind::OnePath => format!(
+            "forces and covariates follow one path of time {recordings} ({percent} of their variance), the field does not: repeats of one programme. Held out is one of these repeats, so no claim about other loads"
+        ),
+    };
+    let cure = match kind {
+        DependenceKind::Copy => "remove the copies",
+        DependenceKind::Overlap => "give each recording its rows in one piece, or correct start_s",
+        DependenceKind::OneRun => "join the rows of a run, and record others with other loads",
+        DependenceKind::OnePath => "record others with other loads and covariates",
+    };
+    match kind {
+        DependenceKind::OnePath => format!("{what}; {cure}"),
+        _ => format!(
+            "{what}. They do not count as separate recordings: held out are blocks of time with a gap; {cure}"
+        ),
+    }
+}
 
 /// Number of names in a list before "and n more".
 const LISTED: usize = 6;
@@ -140,6 +170,20 @@ pub fn message(finding: &Finding) -> String {
                 list(sensors.iter().map(|sensor| format!("sensor {sensor}"))),
             )
         }
+        Evidence::DependentRecordings { kind, recordings, share } => {
+            dependent(*kind, &in_recordings(recordings), *share)
+        }
+        Evidence::ShuffledRows { recordings } => format!(
+            "the order of the rows {} carries no time: successive rows are as far apart as any two, in forces, covariates and field. Effects of time, rate and history cannot be tested, and differences of rows are no estimate of the noise; record or export the rows in the order of their times",
+            in_recordings(recordings)
+        ),
+        Evidence::NoiseDisagreement(one) => format!(
+            "the noise is uncertain: in {} it is {} as used, and {} by {}. The residual cannot be compared with such a floor; record a rest of ten seconds, or repeat some loads",
+            one.rows,
+            field(one.used_g),
+            field(one.other_g),
+            one.other
+        ),
         Evidence::ConstantCovariates { columns, effects } => {
             let effects = match effects.as_slice() {
                 [] => "effects that depend on it".to_owned(),

@@ -1,7 +1,9 @@
 //! Text and JSON of a fit.
 
-use analysis::compare::AT_FLOOR;
+use crate::text::diagnosis::below_floor;
+use analysis::compare::{AT_FLOOR, BELOW_FLOOR};
 use analysis::fit::CampaignFit;
+use analysis::noise_floor::NoiseSummary;
 use analysis::numbers;
 use analysis::statistics::pooled_rms;
 use model_export::fit::parameters::{PARAMETERS, tolerances, values};
@@ -12,6 +14,7 @@ use model_export::model_file::{
 };
 use model_export::physics::ForwardModel;
 use model_export::recordings::Campaign;
+use model_export::recordings::dependence::block_folds;
 use serde_json::{Value, json};
 
 use crate::text::terminal::{self, SENSORS_ACROSS};
@@ -161,8 +164,12 @@ fn degree_table(fits: &[PolynomialFit]) -> String {
 pub fn error_table(campaign: &Campaign, model: &ModelFile) -> String {
     let how = match campaign.recordings.len() {
         1 => "cross-validated on sixths of the only recording: no claim beyond it",
+        _ if block_folds(campaign).is_some() => {
+            "cross-validated on blocks of time: the recordings are not independent, see the notes"
+        }
         _ => "cross-validated by recording",
     };
+    let noise = NoiseSummary::of(campaign.recordings.iter().map(|recording| &recording.noise));
     let mut table = terminal::table([
         "sensor",
         "axis",
@@ -188,9 +195,10 @@ pub fn error_table(campaign: &Campaign, model: &ModelFile) -> String {
         "Held-out field error, {how}\n{table}\n\
          RMS over all {} channels: {:.4} G. Floor: white noise of the averaged sensor and of the reference\n\
          (through dB/dF), root sum of squares. Explainable: error above the floor, root difference of\n\
-         squares. Range: of the field in this campaign.\n",
+         squares. Range: of the field in this campaign.\n{}",
         axes(model).count(),
         pooled_rms(axes(model).map(|(_, axis)| axis.rms_g)),
+        terminal::paragraph(&noise.sentence())
     )
 }
 
@@ -206,6 +214,13 @@ pub fn verdict(model: &ModelFile) -> String {
     let ratio = |axis: &HeldOutError| axis.rms_g / axis.floor_g;
     let worst = axes(model).max_by(|a, b| ratio(a.1).total_cmp(&ratio(b.1)));
     let Some((sensor, axis)) = worst.filter(|(_, axis)| ratio(axis) > AT_FLOOR) else {
+        let [rms_g, floor_g] = [
+            pooled_rms(axes(model).map(|(_, axis)| axis.rms_g)),
+            pooled_rms(axes(model).map(|(_, axis)| axis.floor_g)),
+        ];
+        if rms_g < BELOW_FLOOR * floor_g {
+            return below_floor(rms_g, floor_g);
+        }
         let percent = 100.0 * (AT_FLOOR - 1.0);
         return format!("At the noise floor: every axis is within {percent:.0} % of its floor.");
     };

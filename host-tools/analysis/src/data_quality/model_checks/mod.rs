@@ -152,7 +152,7 @@ impl<'a> Case<'a> {
         let at = |row: usize| {
             let slopes =
                 self.forces.iter().map(|(_, axis)| answers[usize::from(*axis == Axis::Z)][row]);
-            noise_variance(self.part, slopes).sum() / 3.0
+            noise_variance(self.part, Some(self.rows[row]), slopes).sum() / 3.0
         };
         (0..self.rows.len()).map(at).sum::<f64>() / self.rows.len().max(1) as f64
     }

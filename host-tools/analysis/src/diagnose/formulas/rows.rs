@@ -145,10 +145,13 @@ fn of_sensor(
                 }
                 let known = |noise: f64| if noise.is_finite() { noise } else { 0.0 };
                 covariance += Matrix3::from_diagonal(&part.field_noise_g.map(|n| known(n).powi(2)));
-                let slopes = rows.slopes(&modelled.per_newton[row]);
-                for (slope, noise) in slopes.zip(&part.force_noise_n) {
+                let slopes: Vec<Vector3<f64>> = rows.slopes(&modelled.per_newton[row]).collect();
+                for (slope, noise) in slopes.iter().zip(&part.force_noise_n) {
                     covariance += slope * slope.transpose() * known(*noise).powi(2);
                 }
+                let jitter_n = part.jitter_n.get(row).into_iter().flatten();
+                let jitter_g: Vector3<f64> = slopes.iter().zip(jitter_n).map(|(s, n)| s * *n).sum();
+                covariance += jitter_g * jitter_g.transpose();
             }
             for &index in &left_out {
                 let mut column = derivatives.column_mut(index);

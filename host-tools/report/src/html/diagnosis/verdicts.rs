@@ -21,6 +21,7 @@ pub fn verdict_section(diagnosis: &Diagnosis) -> Section {
         @for origin in text::force_origins(diagnosis) { p { (origin) } }
         p.verdict { (text::verdict(diagnosis)) }
         @if diagnosis.at_floor { p { strong { (text::at_floor_note(diagnosis)) } } }
+        @if !diagnosis.staircase.is_empty() { p { (diagnosis.noise.sentence()) } }
         (next(diagnosis))
         @if !diagnosis.verdicts.is_empty() {
             (table(

@@ -154,6 +154,7 @@ pub fn state(
             Reason::NotRecorded(column) => format!("{column} was not recorded"),
             Reason::DoesNotVary(column) => format!("{column} does not vary"),
             Reason::NeedsGeometry => "it needs the design of the sensor".to_owned(),
+            Reason::NoTimeOrder => "the order of the rows carries no time".to_owned(),
             Reason::InPolynomial => "the polynomial of the forces contains it".to_owned(),
             _ => "it needs a force".to_owned(),
         };
