@@ -67,6 +67,22 @@ impl Aligner {
         self.samples.len() * self.samples.front().map_or(0, |sample| sample.values.len())
     }
 
+    /// The sample of this very time, where there is one: a reading at the instant of the reference needs no interpolation, which would
+    /// mix it with its neighbours. Calls as of [`Aligner::mean_around`].
+    pub fn at(&mut self, time_us: f64) -> Window {
+        while self.samples.get(1).is_some_and(|second| second.t_us <= time_us - self.half_width_us)
+        {
+            self.samples.pop_front();
+        }
+        if self.samples.back().is_none_or(|last| last.t_us < time_us) {
+            return Window::NeedsMore;
+        }
+        let same = self.samples.iter().find(|sample| sample.t_us == time_us);
+        same.map_or(Window::Uncovered, |sample| {
+            Window::Ready(WindowMean { values: sample.values.clone(), noise_gain: 1.0 })
+        })
+    }
+
     /// Mean over the window around `centre_us`; calls must be in ascending order of time.
     pub fn mean_around(&mut self, centre_us: f64) -> Window {
         let (from, to) = (centre_us - self.half_width_us, centre_us + self.half_width_us);
@@ -156,6 +172,16 @@ mod tests {
             let mean = ready(aligner_with(samples).mean_around(20_000.0));
             prop_assert!((mean.values[0] - speed * 20_000.0).abs() < 1e-6);
         }
+    }
+
+    #[test]
+    fn sample_of_the_same_time_is_taken_as_it_is() {
+        let samples = [(0.0, 1.0), (5000.0, 4.0), (10_000.0, 2.0)];
+        let mut aligner = aligner_with(samples);
+        assert_eq!(ready(aligner.at(0.0)).values, [1.0]);
+        assert_eq!(ready(aligner.at(5000.0)), WindowMean { values: vec![4.0], noise_gain: 1.0 });
+        assert_eq!(aligner.at(6000.0), Window::Uncovered);
+        assert_eq!(aligner.at(11_000.0), Window::NeedsMore);
     }
 
     #[test]

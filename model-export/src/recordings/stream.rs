@@ -9,7 +9,6 @@ use crate::recordings::columns::ChannelLayout;
 use crate::recordings::csv_table::{CsvRow, CsvTable, GAP_STEPS};
 use crate::recordings::description::RecordingDescription;
 use crate::recordings::error::{DataError, ErrorKind, Location, Notice};
-use crate::recordings::noise::WhiteNoise;
 use crate::recordings::readers::{ForceReader, HallReader};
 
 /// One row on the reference clock.
@@ -40,12 +39,17 @@ pub struct StreamSummary {
     pub notices: Vec<Notice>,
 }
 
+/// Relative difference up to which the periods of both tables are the same.
+const SAME_PERIOD: f64 = 0.05;
+
 /// A recording resampled onto the reference clock.
 pub struct AlignedStream {
     layout: ChannelLayout,
     alignment: Alignment,
     half_width_us: f64,
     min_step_us: f64,
+    /// Whether both tables have the same rate, as where one logger wrote them: rows of one time belong together.
+    is_paired: bool,
     hall: HallReader,
     hall_done: bool,
     force: ForceReader,
@@ -69,11 +73,13 @@ impl AlignedStream {
         // With a slower board, no board row may enter two aligned rows.
         let board_is_slower = hall.period_us > 1.05 * force.period_us;
         let min_step_us = if board_is_slower { 0.95 * hall.period_us } else { 0.0 };
+        let is_paired = (force.period_us - hall.period_us).abs() <= SAME_PERIOD * hall.period_us;
         Ok(Self {
             layout,
             alignment,
             half_width_us,
             min_step_us,
+            is_paired,
             aligner: Aligner::new(half_width_us, GAP_STEPS * hall.period_us),
             hall,
             hall_done: false,
@@ -111,7 +117,14 @@ impl AlignedStream {
                 self.too_close += 1;
                 continue;
             }
-            match self.aligner.mean_around(t_us + self.alignment.delay_us) {
+            let board_us = t_us + self.alignment.delay_us;
+            let same = if self.is_paired { self.aligner.at(board_us) } else { Window::Uncovered };
+            let window = match same {
+                Window::Uncovered => self.aligner.mean_around(board_us),
+                Window::NeedsMore if self.hall_done => self.aligner.mean_around(board_us),
+                found => found,
+            };
+            match window {
                 Window::Ready(mean) => {
                     self.last_used_us = t_us;
                     self.aligned += 1;
@@ -169,6 +182,7 @@ impl AlignedStream {
         }
         notices.extend(self.hall.saturation_notices());
         notices.extend(self.hall.rate_notice());
+        notices.extend(self.hall.unit_notice());
         if self.too_close > 0 {
             notices.push(Notice {
                 location: Location::file(self.force.table.path()),
@@ -179,8 +193,8 @@ impl AlignedStream {
             });
         }
         StreamSummary {
-            hall_noise: self.hall.noise.iter().map(WhiteNoise::estimate).collect(),
-            force_noise: self.force.noise.iter().map(WhiteNoise::estimate).collect(),
+            hall_noise: self.hall.noise(),
+            force_noise: self.force.noise(),
             hall_rows: self.hall.clock.rows,
             force_rows: self.force.clock.rows,
             notices,
@@ -193,7 +207,7 @@ fn open_readers(
     description: &RecordingDescription,
 ) -> Result<(HallReader, ForceReader, ChannelLayout), DataError> {
     let hall = HallReader::open(CsvTable::open(folder, "hall.csv")?, description, folder)?;
-    let force = ForceReader::open(CsvTable::open(folder, "force.csv")?)?;
+    let force = ForceReader::open(CsvTable::open(folder, "force.csv")?, description)?;
     let layout = ChannelLayout { hall: hall.columns.clone(), forces: force.columns.clone() };
     Ok((hall, force, layout))
 }
@@ -269,7 +283,7 @@ impl RawStream {
 
     /// White noise of one reference row in newtons, each force, from the rows read so far.
     pub fn force_noise(&self) -> Vec<Option<f64>> {
-        self.force.noise.iter().map(WhiteNoise::estimate).collect()
+        self.force.noise()
     }
 
     /// True if the last row is the first at or after a reference row: selects one board row for each
