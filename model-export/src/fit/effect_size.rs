@@ -14,10 +14,12 @@ const OUTLIER_RATIO: f64 = 3.0;
 /// Magnitude of an effect.
 #[derive(Clone, Debug)]
 pub struct EffectSize {
-    /// In the unit of `size`.
+    /// In `unit`.
     pub value: f64,
     /// Standard error.
     pub std_error: f64,
+    /// Unit of the magnitude.
+    pub unit: Cow<'static, str>,
     /// Name of the coefficient where there are several.
     pub component: Option<String>,
     /// Definition, with typical and plausible values.
@@ -81,7 +83,9 @@ fn effect_size(
         first..first + count
     };
     // Steps between recordings precede the slope, which has another unit.
-    let one_unit = parameters.iter().take(count).all(|p| p.unit == parameters[0].unit);
+    let is_formula = effect.effect().is_none();
+    let one_unit =
+        is_formula || parameters.iter().take(count).all(|p| p.unit == parameters[0].unit);
     let count = if one_unit { count } else { count.saturating_sub(1) };
     let single = |i: usize| {
         mean(fit.sensors.iter().map(|sensor| {
@@ -162,12 +166,13 @@ fn effect_size(
                 ..MagnitudeSpec::DEFAULT
             };
             let component = Some(format!("here {}", parameters[i].name));
-            return EffectSize { value, std_error, component, size };
+            return EffectSize { value, std_error, unit: Cow::Borrowed(unit), component, size };
         }
     }
     EffectSize {
         value: value * size.factor,
         std_error: (std_error * size.factor).hypot(size.resolution),
+        unit: effect.size_unit(),
         component,
         size,
     }

@@ -11,6 +11,10 @@ use crate::recordings::{Campaign, Location, Recording};
 
 /// Minimum standard deviation of a force, in standard deviations of its noise.
 const MIN_EXCITATION: f64 = 10.0;
+/// Share of a field's variance that a force explains from which it moves, whatever its differences from row to row.
+const MIN_FOLLOWED: f64 = 0.01;
+/// F statistic of that line from which it is significant whatever the number of rows.
+const MIN_F: f64 = 30.0;
 
 /// The usable rows of one sensor: field finite on all axes, every force measured.
 #[derive(Clone, Debug)]
@@ -42,6 +46,18 @@ pub const MAX_ROWS: usize = 180_000;
 const ROWS_PER_TURN: usize = 3;
 /// Maximum spacing in seconds of a sample of evenly spaced rows only.
 const MAX_SPACING_S: f64 = 0.075;
+
+/// Rows that the cylinder base needs: several for each of its 14 parameters.
+const CYLINDER_ROWS: usize = 100;
+/// Rows for each coefficient in the training part of each fold.
+const ROWS_PER_COEFFICIENT: usize = 2;
+/// Folds within a recording.
+const FOLDS: usize = 6;
+
+/// Rows that a base with this many coefficients needs: a fold trains on all but one part of them.
+pub fn least_rows(coefficients: usize) -> usize {
+    (ROWS_PER_COEFFICIENT * coefficients * FOLDS).div_ceil(FOLDS - 1).max(FOLDS)
+}
 
 /// The rows of one recording.
 #[derive(Clone, Debug)]
@@ -96,7 +112,8 @@ impl SensorRows {
                 });
             }
         }
-        Self::collect(campaign, sensor, forces)?.without_unloaded(campaign)
+        let rows = Self::collect(campaign, sensor, forces, CYLINDER_ROWS)?;
+        rows.without_unloaded(campaign)
     }
 
     /// Rows of `sensor` with the recorded forces of its own place or, where there are none, with all forces
@@ -128,7 +145,8 @@ impl SensorRows {
                 axis: "x and z",
             });
         }
-        Self::collect(campaign, sensor, forces)?.without_unloaded(campaign)
+        let needed = least_rows(1 + forces.len());
+        Self::collect(campaign, sensor, forces, needed)?.without_unloaded(campaign)
     }
 
     /// Without the forces that are zero within their noise, where another one moves.
@@ -142,7 +160,8 @@ impl SensorRows {
         if loaded.is_empty() || loaded.len() == self.forces.len() {
             return Ok(self);
         }
-        Self::collect(campaign, self.sensor, loaded)
+        let needed = least_rows(1 + loaded.len());
+        Self::collect(campaign, self.sensor, loaded, needed)
     }
 
     fn spread(&self, force: usize) -> ForceSpread {
@@ -159,6 +178,7 @@ impl SensorRows {
         campaign: &Campaign,
         sensor: u32,
         forces: Vec<(u32, Axis)>,
+        needed: usize,
     ) -> Result<Self, FitError> {
         let mut before_s = 0.0;
         let mut parts = Vec::new();
@@ -171,8 +191,6 @@ impl SensorRows {
             before_s += recording.span_s();
         }
         let rows: usize = parts.iter().map(RecordingRows::len).sum();
-        // The geometric base has 14 parameters: several rows for each.
-        let needed = 100;
         let saturated = saturated_share(campaign, sensor);
         if rows < needed && saturated > 0.5 {
             return Err(FitError::Saturated {
@@ -199,6 +217,15 @@ impl SensorRows {
         self
     }
 
+    /// Axes that are copies of an earlier one: a sensor of one or two axes has its first in the place of each that it lacks.
+    pub fn copied_axes(&self) -> [bool; 3] {
+        let is_copy = |axis: usize, of: usize| {
+            let mut fields = self.parts.iter().flat_map(|part| &part.field_g);
+            fields.all(|field| field[axis] == field[of])
+        };
+        [false, is_copy(1, 0), is_copy(2, 0) || is_copy(2, 1)]
+    }
+
     /// Rejects a constant field channel, and a force that varies little more than its noise.
     pub fn check_excitation(&self, campaign: &Campaign) -> Result<(), FitError> {
         let folder = Location::file(&campaign.folder);
@@ -210,12 +237,35 @@ impl SensorRows {
         }
         for (i, (place, axis)) in self.forces.iter().enumerate() {
             let ForceSpread { sigma_n, noise_n, .. } = self.spread(i);
-            if sigma_n <= MIN_EXCITATION * noise_n {
+            // Rows in random order have no noise in their differences: there the field shows whether the load moved.
+            if sigma_n <= MIN_EXCITATION * noise_n && !self.is_followed(i) {
                 let place = folder.clone().column(format!("f{place}_{}_n", axis.letter()));
                 return Err(FitError::ConstantForce { place });
             }
         }
         Ok(())
+    }
+
+    /// Whether a straight line in this force explains a significant share of the variance of a field axis.
+    fn is_followed(&self, force: usize) -> bool {
+        let rows = || {
+            let parts = self.parts.iter();
+            parts.flat_map(|part| part.force_n.iter().map(|row| row[force]).zip(&part.field_g))
+        };
+        let count = self.len() as f64;
+        let mean_n = rows().map(|(newtons, _)| newtons).sum::<f64>() / count;
+        let mean_g = rows().map(|(_, field)| field).sum::<Vector3<f64>>() / count;
+        let (mut newtons_2, mut field_2, mut product) = (0.0, Vector3::zeros(), Vector3::zeros());
+        for (newtons, field) in rows() {
+            let (x, y) = (newtons - mean_n, field - mean_g);
+            newtons_2 += x * x;
+            field_2 += y.component_mul(&y);
+            product += x * y;
+        }
+        let share = |axis: usize| product[axis] * product[axis] / (newtons_2 * field_2[axis]);
+        (0..3)
+            .map(share)
+            .any(|share| share > MIN_FOLLOWED && share * (count - 2.0) > MIN_F * (1.0 - share))
     }
 
     /// The derivatives to the measured forces, in the order of [`SensorRows::forces`].
