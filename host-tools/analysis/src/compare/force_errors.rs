@@ -280,6 +280,9 @@ fn build_tables(plan: &CvPlan, path: &Path) -> Result<FoldTables> {
             Some(BuildError::NotCompensable(why)) => {
                 Ok(Err(MissingForces::NotCompensable(why.clone())))
             }
+            Some(BuildError::TableOverflow { overflow, .. }) => {
+                Ok(Err(MissingForces::NotRepresentable(overflow.to_string())))
+            }
             _ => Err(error),
         },
     }
