@@ -70,7 +70,7 @@ fn findings_with(model: &ModelFile, folder: &Path, alignment: Alignment) -> Vec<
 
 /// The only finding of the files and the model checks.
 fn only(spoilt: &CampaignCopy) -> Finding {
-    let files = scan_files(&spoilt.path(), |_| ()).unwrap();
+    let files = scan_files(&spoilt.path(), NO_DELAY, |_| ()).unwrap();
     single(merge(files, findings_with_own_model(&spoilt.path(), NO_DELAY)))
 }
 
@@ -210,7 +210,7 @@ fn repeated_samples_precede_the_lag_they_cause() {
             }
         }
     });
-    let files = scan_files(&spoilt.path(), |_| ()).unwrap();
+    let files = scan_files(&spoilt.path(), NO_DELAY, |_| ()).unwrap();
     let all = merge(files, findings_with_own_model(&spoilt.path(), NO_DELAY));
     let kinds: Vec<_> = all.iter().map(|finding| finding.id).collect();
     assert_eq!(kinds, ["repeated_samples", "clock_skew"]);
