@@ -351,17 +351,17 @@ impl Expression {
             // The magnitude follows from the recordings.
             ..EffectParameter::coefficient("", self.target.unit, f64::NAN)
         };
-        let shape = |range: &ParameterRange| {
+        let shape = |(place, range): (usize, &ParameterRange)| {
             let step = (range.to - range.from) / GRID_STEPS as f64;
             let grid = (0..=GRID_STEPS).map(|i| range.from + step * i as f64).collect();
             EffectParameter {
                 name: Cow::Owned(range.name.clone()),
                 kind: ParameterKind::Shape { grid: Cow::Owned(grid) },
-                ..EffectParameter::coefficient("", "", 0.0)
+                ..EffectParameter::coefficient("", self.shape_unit(place), 0.0)
             }
         };
         let coefficients = self.coefficients.iter().zip(self.coefficient_units());
-        coefficients.map(coefficient).chain(self.ranges.iter().map(shape)).collect()
+        coefficients.map(coefficient).chain(self.ranges.iter().enumerate().map(shape)).collect()
     }
 
     /// Unit of the coefficients if they have one in common, else that of the target.

@@ -247,3 +247,17 @@ fn units_of_coefficients_hold_those_of_their_covariates() {
     assert_eq!(units("bx_g = a*duty_ratio + b*abs(fz_n)"), ["G", "G/N"]);
     assert_eq!(units("fx_n = a*fx_rate_n_per_s + b*time_s"), ["N/(N/s)", "N/s"]);
 }
+
+#[test]
+fn period_and_time_constant_have_the_units_of_what_they_divide() {
+    let range = ParameterRange { name: "p".to_owned(), from: 2.0, to: 5.0 };
+    let unit = |formula: &str| {
+        let columns = ["opening_mm".to_owned()];
+        let text = format!("f: {formula}");
+        let expression = Expression::parse(&text, std::slice::from_ref(&range), &columns).unwrap();
+        expression.parameters().last().unwrap().unit.to_string()
+    };
+    assert_eq!(unit("dx_um = a*sin(2*pi*opening_mm/p) + b*cos(2*pi*opening_mm/p)"), "mm");
+    assert_eq!(unit("dx_um = a*lag(fx_n, p)"), "s");
+    assert_eq!(unit("dx_um = a*tanh(fx_n/p)"), "N");
+}

@@ -1,6 +1,6 @@
 //! Units of a formula's coefficients: the unit of its target per that of the covariates in the coefficient's term.
 
-use super::Expression;
+use super::{Expression, TimeConstant};
 use crate::recordings::units::{column_unit, symbol};
 
 /// Values of a covariate at which the power with which a term depends on it is determined: positive, and away from zero.
@@ -12,6 +12,36 @@ impl Expression {
     /// Unit of each coefficient. A covariate inside of a function such as `sin` adds none.
     pub(super) fn coefficient_units(&self) -> Vec<String> {
         (0..self.coefficients.len()).map(|coefficient| self.coefficient_unit(coefficient)).collect()
+    }
+
+    /// Unit of a nonlinear parameter: of a time constant seconds, of one by which a covariate is divided, such as a period, that of the
+    /// covariate; empty for others.
+    pub(super) fn shape_unit(&self, shape: usize) -> &'static str {
+        if self.inputs.iter().any(|input| input.lag == Some(TimeConstant::Shape(shape))) {
+            return "s";
+        }
+        let coefficients = vec![1.0; self.coefficients.len()];
+        // With this parameter, this input, or both scaled.
+        let value = |place: usize, at: f64, scale: [f64; 2]| {
+            let range = |(i, range): (usize, &super::ParameterRange)| {
+                let value = 0.5 * (range.from + range.to);
+                if i == shape { scale[0] * value } else { value }
+            };
+            let shapes: Vec<f64> = self.ranges.iter().enumerate().map(range).collect();
+            let input = |i: usize| super::Values::Same(if i == place { scale[1] * at } else { at });
+            let inputs: Vec<_> = (0..self.inputs.len()).map(input).collect();
+            self.evaluate(&coefficients, &shapes, &inputs).at(0)
+        };
+        let scales = |place: usize| {
+            let is_equal = |at: f64, scale: [f64; 2]| {
+                let (one, other) = (value(place, at, [1.0; 2]), value(place, at, scale));
+                (one - other).abs() <= EQUAL * one.abs()
+            };
+            AT.iter().all(|at| is_equal(*at, [1.7, 1.7]))
+                && !AT.iter().all(|at| is_equal(*at, [1.7, 1.0]))
+        };
+        let place = (0..self.inputs.len()).find(|place| scales(*place));
+        place.map_or("", |place| unit_of(&self.covariates[self.inputs[place].covariate]))
     }
 
     fn coefficient_unit(&self, coefficient: usize) -> String {
