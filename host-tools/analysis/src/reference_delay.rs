@@ -29,8 +29,6 @@ const STEPS_S: [f64; 2] = [20e-3, 4e-3];
 const MIN_N: f64 = 0.05;
 /// Least number of rows of a channel.
 const MIN_ROWS: usize = 60;
-/// Most rows of a channel: more would not change the estimate.
-const MAX_ROWS: usize = 4000;
 /// Of two delays that a periodic load leaves equally likely the smaller is taken: the cost of the whole search range.
 const TIE: f64 = 0.02;
 /// Difference of the axes' delays in standard errors from which one of them lags.
@@ -59,6 +57,8 @@ pub struct ForceSeries {
     pub sensor: usize,
     /// 0: lateral, 1: longitudinal.
     pub axis: usize,
+    /// Time over which the reference averages in seconds, where rows were left out; zero: from row to row.
+    pub average_s: f64,
 }
 
 /// An estimated delay.
@@ -184,7 +184,8 @@ pub fn series(folder: &Path) -> Result<(Vec<FieldSeries>, Vec<ForceSeries>), Dat
             let column = format!("f{sensor}_{letter}_n");
             if let Some((_, values)) = force.iter().find(|(name, _)| *name == column) {
                 let (time_s, force_n) = (seconds(times), values.clone());
-                forces.push(ForceSeries { time_s, force_n, sensor: place, axis });
+                let average_s = median_step(&time_s).unwrap_or(0.0);
+                forces.push(ForceSeries { time_s, force_n, sensor: place, axis, average_s });
             }
         }
     }
@@ -399,7 +400,8 @@ const REGRESSORS: usize = 10;
 impl<'a> Channel<'a> {
     fn new(force: &ForceSeries, integrals: &'a [Integral], search_s: f64) -> Option<Self> {
         let integral = integrals.get(force.sensor)?;
-        let half_s = 0.5 * median_step(&force.time_s)?;
+        let half_s = 0.5 * force.average_s.max(0.0);
+        let half_s = if half_s > 0.0 { half_s } else { 0.5 * median_step(&force.time_s)? };
         let margin_s = search_s + half_s;
         let (begin_s, end_s) =
             (integral.series.time_s.first()? + margin_s, integral.series.time_s.last()? - margin_s);
@@ -413,9 +415,6 @@ impl<'a> Channel<'a> {
         if force_n.len() < MIN_ROWS || std_n < MIN_N {
             return None;
         }
-        let stride = force_n.len().div_ceil(MAX_ROWS);
-        let thin = |values: Vec<f64>| values.into_iter().step_by(stride).collect::<Vec<f64>>();
-        let (time_s, force_n) = (thin(time_s), thin(force_n));
         let field = &integral.series.field;
         let scale = [0, 1, 2].map(|axis| {
             let count = field.len() as f64;

@@ -17,9 +17,15 @@ use crate::reference_delay::{self, FieldSeries, ForceSeries};
 
 /// Search range on each side in seconds.
 const SEARCH_S: f64 = 1.0;
-/// Rows of the reference in a window, and number of windows.
+/// The same in a window, around the delay of the whole recording: a clock that runs fast.
+const SEARCH_IN_WINDOW_S: f64 = 0.3;
+/// Rows of the reference in a window at least, and number of windows.
 const WINDOW_ROWS: usize = 75;
 const MAX_WINDOWS: usize = 8;
+/// Rows that are used: for the search of the delay, in a window, and for its final estimate. More would not change them.
+const ROWS: [usize; 3] = [400, 150, 2000];
+/// Share of the forces' variance above its noise that a misalignment worth a search leaves unexplained.
+const WORTH: f64 = 2e-3;
 /// Least number of windows that determine a rate.
 const MIN_WINDOWS: usize = 3;
 /// Largest difference of two clocks: that of a microcontroller's RC oscillator.
@@ -56,16 +62,23 @@ impl Series {
         (!fields.is_empty() && !forces.is_empty()).then_some(Self { fields, forces, noise })
     }
 
-    /// Forces whose times are moved to the board's clock, in rows `part` of `parts`.
-    fn moved(&self, of: (f64, f64), (part, parts): (usize, usize)) -> Vec<ForceSeries> {
+    /// Forces whose times are moved to the board's clock, at most `most` rows of part `part` of `parts`.
+    fn moved(
+        &self,
+        of: (f64, f64),
+        (part, parts): (usize, usize),
+        most: usize,
+    ) -> Vec<ForceSeries> {
         let (offset_s, rate) = of;
         let window = |force: &ForceSeries| {
             let rows = force.time_s.len();
             let rows = part * rows / parts..(part + 1) * rows / parts;
-            let time_s = force.time_s[rows.clone()].iter();
+            let stride = rows.len().div_ceil(most).max(1);
+            let time_s = force.time_s[rows.clone()].iter().step_by(stride);
+            let force_n = force.force_n[rows].iter().step_by(stride);
             ForceSeries {
                 time_s: time_s.map(|time_s| time_s + offset_s + rate * time_s).collect(),
-                force_n: force.force_n[rows].to_vec(),
+                force_n: force_n.copied().collect(),
                 ..force.clone()
             }
         };
@@ -74,20 +87,38 @@ impl Series {
 
     /// Share of each force's variance above its noise that the fields do not explain with this alignment.
     fn unexplained(&self, of: (f64, f64)) -> Vec<f64> {
-        let left = reference_delay::unexplained(&self.fields, &self.moved(of, (0, 1)));
+        let left = reference_delay::unexplained(&self.fields, &self.moved(of, (0, 1), ROWS[2]));
         left.iter().zip(&self.noise).map(|(left, noise)| (left - noise).max(0.0)).collect()
     }
 
+    /// Delay in seconds of a part of the recording, near another one; with its standard error where the fields explain the forces.
+    fn delay(
+        &self,
+        near_s: f64,
+        part: (usize, usize),
+        most: usize,
+        search_s: f64,
+    ) -> Option<(f64, f64)> {
+        let forces = self.moved((near_s, 0.0), part, most);
+        let found = reference_delay::estimate(&self.fields, &forces, search_s)?;
+        let is_clear = found.explained > EXPLAINED && found.standard_error_s > 0.0;
+        is_clear.then_some((near_s + found.delay_s, found.standard_error_s))
+    }
+
     fn estimate(&self) -> Option<ClockOffset> {
+        let before = self.unexplained((0.0, 0.0));
+        if before.iter().sum::<f64>() < WORTH * before.len() as f64 {
+            return None;
+        }
         let rows = self.forces.iter().map(|force| force.time_s.len()).max()?;
         let windows = (rows / WINDOW_ROWS).clamp(1, MAX_WINDOWS);
+        let (near_s, _) = self.delay(0.0, (0, 1), ROWS[0], SEARCH_S)?;
         let at = |part: usize| {
-            let forces = self.moved((0.0, 0.0), (part, windows));
-            let found = reference_delay::estimate(&self.fields, &forces, SEARCH_S)?;
-            let times = forces.first()?;
-            let middle_s = 0.5 * (times.time_s.first()? + times.time_s.last()?);
-            let is_clear = found.explained > EXPLAINED && found.standard_error_s > 0.0;
-            is_clear.then_some((middle_s, found.delay_s, found.standard_error_s))
+            let times = &self.forces.first()?.time_s;
+            let middle = ((2 * part + 1) * times.len() / (2 * windows)).min(times.len() - 1);
+            let (delay_s, error_s) =
+                self.delay(near_s, (part, windows), ROWS[1], SEARCH_IN_WINDOW_S)?;
+            Some((times[middle], delay_s, error_s))
         };
         let points: Vec<(f64, f64, f64)> = (0..windows).filter_map(at).collect();
         let line = (points.len() >= MIN_WINDOWS).then(|| Line::through(&points)).flatten();
@@ -106,12 +137,11 @@ impl Series {
                 rate_error_ppm: 1e6 * line.slope_error,
             });
         }
-        let whole =
-            reference_delay::estimate(&self.fields, &self.moved((0.0, 0.0), (0, 1)), SEARCH_S)?;
-        (whole.explained > EXPLAINED).then(|| ClockOffset {
+        let (delay_s, error_s) = self.delay(near_s, (0, 1), ROWS[2], LEAST_S)?;
+        Some(ClockOffset {
             recording: String::new(),
-            offset_ms: 1e3 * whole.delay_s,
-            offset_error_ms: 1e3 * whole.standard_error_s,
+            offset_ms: 1e3 * delay_s,
+            offset_error_ms: 1e3 * error_s,
             rate_ppm: 0.0,
             rate_error_ppm: f64::NAN,
         })
