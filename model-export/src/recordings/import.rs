@@ -31,9 +31,12 @@ const IMPORTED_DIGITS: usize = 9;
 pub struct Imported {
     /// Path of the folder.
     pub folder: PathBuf,
-    /// Number of board rows, reference rows, reference rows with a force.
-    pub rows: (u64, u64, u64),
+    /// Rows of its tables.
+    pub rows: RowCounts,
 }
+
+/// Number of board rows, reference rows, reference rows with a force.
+pub type RowCounts = (u64, u64, u64);
 
 /// Converts `sources` (files, or folders where the mapping names the two files) to the campaign `target`,
 /// which must not exist; a failed import leaves no folder. `done` is called with each converted source.
@@ -117,7 +120,7 @@ fn import_one(
     source: &Path,
     folder: &Path,
     start: &mut CampaignStart,
-) -> Result<((u64, u64, u64), Vec<JoinedChannel>), DataError> {
+) -> Result<(RowCounts, Vec<JoinedChannel>), DataError> {
     let (hall, force) = rayon::join(
         || SourceTable::open(&mapping.hall, CellRule::Number, mapping_path, source),
         || SourceTable::open(&mapping.force, CellRule::Optional, mapping_path, source),
