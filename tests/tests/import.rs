@@ -637,7 +637,8 @@ fn table_without_a_field_or_clock_is_refused() {
         ("t_s,hall_1,hall_2\n1,2,3\n2,3,4\n", "a table without a magnetic field"),
         ("t_s,HallLeft_Bn_mT\n1,2\n2,3\n", "without its axis is not allowed here; put x, y or z"),
         ("time,bx_G,by_G,bz_G\n2026-01-01T00:00:00Z,1,2,3\n", "the times in time are text"),
-        ("bx_G;by_G\n1;2\n", "a table without a magnetic field"),
+        // A sensor of two axes.
+        ("bx_G;by_G\n1;2\n", "no column increases in every row"),
         ("t_s,bx_G,by_G,bz_G\n", "there are no rows"),
     ] {
         fs::write(&path, content).unwrap();
