@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use model_export::recordings::align::Alignment;
 use model_export::recordings::columns::Axis;
+use model_export::recordings::description::TimeOrigin;
 use model_export::recordings::guess::{Proposal, propose};
 use model_export::recordings::import::import;
 use model_export::recordings::mapping::Mapping;
@@ -90,6 +91,68 @@ fn a_common_clock_preserves_the_distance_of_recordings() {
         ImportFixture::import(&MAPPING.replace("[hall]", "one_clock = true\n[hall]"), &source());
     let campaign = Campaign::read(&result.unwrap(), Alignment { delay_us: 0.0 }, |_| ()).unwrap();
     assert_eq!(campaign.recordings[1].description.start_s, 0.0);
+}
+
+#[test]
+fn starts_are_measured_stated_or_assumed() {
+    for (key, start_s, origin) in [
+        ("one_clock = true", 0.0, TimeOrigin::Measured),
+        ("starts_s = [0.0, 60.0]", 60.0, TimeOrigin::Stated),
+        ("", 0.39, TimeOrigin::Assumed),
+    ] {
+        let mapping = MAPPING.replace("[hall]", &format!("{key}\n[hall]"));
+        let (_fixture, result) = ImportFixture::import(&mapping, &source());
+        let campaign =
+            Campaign::read(&result.unwrap(), Alignment { delay_us: 0.0 }, |_| ()).unwrap();
+        let second = &campaign.recordings[1].description;
+        assert_eq!((second.start_s, second.start), (start_s, Some(origin)), "{key}");
+        assert_eq!(second.recorded, None);
+    }
+    let error = error_of(&MAPPING.replace("[hall]", "starts_s = [0.0]\n[hall]"), &source());
+    assert!(error.contains("column starts_s: 1 starts for 2 sources"), "{error}");
+}
+
+#[test]
+fn times_since_1970_give_the_date_of_a_recording() {
+    let mapping = MAPPING.replace("unit = \"ms\" }", "unit = \"s\" }");
+    let rows = (0..40).map(|i| {
+        let time = 1_700_000_000.0 + 0.01 * f64::from(i);
+        format!("{time},{time},1.5,-2.5,0.25,0.012,0.1,ok\n")
+    });
+    let source = "time,scale_time,mx,my,mz,height,mass,note\n".to_owned();
+    let (_fixture, result) = ImportFixture::import(&mapping, &(source + &rows.collect::<String>()));
+    let campaign = Campaign::read(&result.unwrap(), Alignment { delay_us: 0.0 }, |_| ()).unwrap();
+    let recorded = campaign.recordings[0].description.recorded.as_deref();
+    assert_eq!(recorded, Some("2023-11-14T22:13:20Z"));
+}
+
+#[test]
+fn table_without_a_clock_of_a_one_axis_load_cell_is_imported() {
+    let mapping = r#"
+description = "load cell"
+[hall]
+clock = { row_s = 5.0 }
+columns = [{ from = "signal", unit = "mV", to = "s0_x_v" }, { from = "room", unit = "K", to = "s0_temp_c" }]
+[force]
+clock = { row_s = 5.0 }
+columns = [{ from = "load", unit = "kN", to = "f0_x_n" }]
+"#;
+    let loads = [2.0, 2.0, 4.0, 8.0, 4.0, 2.0, 6.0];
+    let rows = loads.map(|load| format!("{load},{},300.15\n", 0.5 * load)).concat();
+    let (_fixture, result) = ImportFixture::import(mapping, &format!("load,signal,room\n{rows}"));
+    let campaign = Campaign::read(&result.unwrap(), Alignment { delay_us: 0.0 }, |_| ()).unwrap();
+    let first = &campaign.recordings[0];
+    // Rows of one time belong together: nothing is interpolated, and none is lost at the ends.
+    assert_eq!(first.time_s, [0.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0]);
+    let fields: Vec<f64> = first.sensors[&0].field_g.iter().map(|field| field[0]).collect();
+    assert_eq!(fields, [0.001, 0.001, 0.002, 0.004, 0.002, 0.001, 0.003]);
+    assert_eq!(first.forces[&(0, Axis::X)].newtons, loads.map(|load| 1000.0 * load));
+    assert!((first.sensors[&0].temperature_c[0] - 27.0).abs() < 1e-9);
+    assert!(first.description.is_clock_assumed());
+    let notices: String = campaign.notices().map(ToString::to_string).collect();
+    assert!(notices.contains("the signal is in V"), "{notices}");
+    let error = error_of(&mapping.replacen("row_s = 5.0", "unit = \"s\"", 1), "load\n1\n");
+    assert!(error.contains("a clock without `from`"), "{error}");
 }
 
 #[test]
@@ -574,7 +637,8 @@ fn table_without_a_field_or_clock_is_refused() {
         ("t_s,hall_1,hall_2\n1,2,3\n2,3,4\n", "a table without a magnetic field"),
         ("t_s,HallLeft_Bn_mT\n1,2\n2,3\n", "without its axis is not allowed here; put x, y or z"),
         ("time,bx_G,by_G,bz_G\n2026-01-01T00:00:00Z,1,2,3\n", "the times in time are text"),
-        ("bx_G;by_G\n1;2\n", "a table without a magnetic field"),
+        // A sensor of two axes.
+        ("bx_G;by_G\n1;2\n", "no column increases in every row"),
         ("t_s,bx_G,by_G,bz_G\n", "there are no rows"),
     ] {
         fs::write(&path, content).unwrap();

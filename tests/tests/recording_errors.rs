@@ -115,14 +115,10 @@ fn an_invalid_table_is_reported_with_its_place() {
     let cases: [(Change, &str, &str); 11] = [
         (
             |path, hall, _| {
-                let without_y = hall.lines().map(|row| {
-                    let cells: Vec<&str> = row.split(',').collect();
-                    [cells[0], cells[1], cells[3]].join(",") + "\n"
-                });
-                write_hall(path, &without_y.collect::<String>());
+                write_hall(path, &hall.replacen("s0_y_lsb", "s0_y_gauss", 1));
             },
             "rec/hall.csv, line 1, column s0_y_lsb: the column is missing",
-            "sensor 0 needs all three axes",
+            "sensor 0 needs all its axes in one unit",
         ),
         (
             |path, _, force| write_force(path, &force.replace("t_us,", "time_us,")),
@@ -276,7 +272,7 @@ fn a_reference_slower_than_its_window_allows_is_reported() {
 
 #[test]
 fn a_clock_in_another_unit_is_reported() {
-    for step in ["1", "2000000"] {
+    for step in ["1", "4000000000"] {
         let message = error_of(|path, _, _| {
             let rows = (1..5).map(|row| format!("{},0,0,0\n", row * step.parse::<u64>().unwrap()));
             write_hall(

@@ -84,7 +84,7 @@ pub fn refit(
             Some(MissingForces::NotCompensable(why)) => {
                 notes.push(Note::NotCompensable(why.clone()));
             }
-            Some(why @ (MissingForces::NotInvertible(_) | MissingForces::NoTables(_))) => {
+            Some(why @ (MissingForces::NotInvertible(_) | MissingForces::NotRepresentable(_))) => {
                 notes.push(Note::NoForces(why.clone()));
             }
             _ => {}

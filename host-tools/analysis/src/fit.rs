@@ -52,7 +52,7 @@ pub fn fit_model(
         let bar = progress::progress_bar("reading and checking", steps);
         let (campaign, scanned) = rayon::join(
             || Campaign::read(folder, alignment, |_| bar.inc(1)),
-            || scan_files(folder, |_| bar.inc(1)),
+            || scan_files(folder, alignment, |_| bar.inc(1)),
         );
         bar.finish_and_clear();
         let campaign = campaign?;
@@ -121,10 +121,14 @@ pub(crate) fn unused_forces(campaign: &Campaign) -> impl Iterator<Item = Notice>
 
 /// Of the setup errors in its files those that affect the fit, except in files that a notice of the reader covers already.
 pub(crate) fn data_findings(mut findings: Vec<Finding>, campaign: &Campaign) -> Vec<Finding> {
+    let covers = |notice: &Notice, finding: &Finding| {
+        let (of, place) = (&notice.location, &finding.place);
+        of.file == place.file && (of.column.is_none() || of.column == place.column)
+    };
     let is_new = |finding: &Finding| {
         // A constant covariate does not affect a fit that does not use it.
         finding.id != "constant_covariate"
-            && !campaign.notices().any(|notice| notice.location.file == finding.place.file)
+            && (finding.stops || !campaign.notices().any(|notice| covers(notice, finding)))
     };
     findings.retain(is_new);
     findings

@@ -65,9 +65,9 @@ pub fn import_campaign(
             import::import(mapping, sources, output, |_| bar.inc(1)).map_err(explained)?;
         bar.finish_and_clear();
         notes.extend(notices.into_iter().map(Note::Recording));
-        let campaign =
-            Campaign::read(output, Alignment { delay_us: 0.0 }, |_| ()).map_err(explained)?;
-        let findings = data_findings(scan_with_progress(&campaign.folder)?, &campaign);
+        let alignment = Alignment { delay_us: 0.0 };
+        let campaign = Campaign::read(output, alignment, |_| ()).map_err(explained)?;
+        let findings = data_findings(scan_with_progress(&campaign.folder, alignment)?, &campaign);
         notes.extend(findings.into_iter().map(Box::new).map(Note::SetupError));
         notes.extend(unused_forces(&campaign).map(Note::Recording));
         // A channel in another unit looks like permuted axes, too.

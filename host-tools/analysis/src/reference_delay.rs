@@ -8,10 +8,10 @@
 //! the smaller delay is the clock's, because a field follows its load. What both axes have in common stays in the delay:
 //! compare with `viscous_lag` and `clock_skew` of `diagnose`.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use anyhow::Context;
-use firmware::sensors::hall::SENSORS;
 use model_export::output::write_output;
 use model_export::recordings::DataError;
 use model_export::recordings::csv_table::{CellRule, CsvTable};
@@ -26,9 +26,11 @@ const BLOCK_S: f64 = 0.5;
 /// Steps of the search in seconds, coarse to fine.
 const STEPS_S: [f64; 2] = [20e-3, 4e-3];
 /// Least standard deviation of a force that carries information, in newtons.
-const MIN_N: f64 = 1.0;
+const MIN_N: f64 = 0.05;
 /// Least number of rows of a channel.
-const MIN_ROWS: usize = 100;
+const MIN_ROWS: usize = 60;
+/// Of two delays that a periodic load leaves equally likely the smaller is taken: the cost of the whole search range.
+const TIE: f64 = 0.02;
 /// Difference of the axes' delays in standard errors from which one of them lags.
 const LAG_SIGMAS: f64 = 4.0;
 const ITERATIONS: usize = 20;
@@ -55,6 +57,8 @@ pub struct ForceSeries {
     pub sensor: usize,
     /// 0: lateral, 1: longitudinal.
     pub axis: usize,
+    /// Time over which the reference averages in seconds, where rows were left out; zero: from row to row.
+    pub average_s: f64,
 }
 
 /// An estimated delay.
@@ -83,7 +87,9 @@ pub fn estimate(fields: &[FieldSeries], forces: &[ForceSeries], search_s: f64) -
     }
     let cost = |delay_s: f64| {
         let fits = channels.iter().map(|channel| channel.fit(delay_s));
-        fits.map(|fit| fit.map_or(0.0, |fit| (fit.unexplained.max(1e-12)).ln())).sum::<f64>()
+        let tie = TIE * channels.len() as f64 * delay_s.abs() / search_s;
+        let logarithms = fits.map(|fit| fit.map_or(0.0, |fit| (fit.unexplained.max(1e-12)).ln()));
+        tie + logarithms.sum::<f64>()
     };
     let mut best_s = 0.0;
     let mut reach_s = search_s;
@@ -112,6 +118,16 @@ pub fn estimate(fields: &[FieldSeries], forces: &[ForceSeries], search_s: f64) -
     })
 }
 
+/// Share of the variance of each force that the fields at its times do not explain; NaN where it does not vary.
+pub fn unexplained(fields: &[FieldSeries], forces: &[ForceSeries]) -> Vec<f64> {
+    let integrals: Vec<Integral> = fields.iter().map(Integral::new).collect();
+    let left = |force: &ForceSeries| {
+        let fit = Channel::new(force, &integrals, 0.0)?.fit(0.0)?;
+        Some(fit.unexplained)
+    };
+    forces.iter().map(|force| left(force).unwrap_or(0.0)).collect()
+}
+
 /// Minimum of the residual near a delay.
 fn refine(channels: &[Channel], near_s: f64) -> Option<Delay> {
     let mut best_s = near_s;
@@ -135,15 +151,31 @@ fn refine(channels: &[Channel], near_s: f64) -> Option<Delay> {
 /// # Errors
 /// A table cannot be read.
 pub fn of_recording(folder: &Path, search_s: f64) -> Result<Option<Delay>, DataError> {
+    let (fields, forces) = series(folder)?;
+    Ok(estimate(&fields, &forces, search_s))
+}
+
+/// Fields and forces of a recording from its tables, over at most its first five minutes.
+///
+/// # Errors
+/// A table cannot be read.
+pub fn series(folder: &Path) -> Result<(Vec<FieldSeries>, Vec<ForceSeries>), DataError> {
     let hall = columns(folder, "hall.csv")?;
     let force = columns(folder, "force.csv")?;
-    let column =
-        |name: &str| hall.iter().find(|(known, _)| known == name).map(|(_, values)| values);
+    let of_prefix = |prefix: &str| hall.iter().find(|(known, _)| known.starts_with(prefix));
+    let column = |prefix: &str| of_prefix(prefix).map(|(_, values)| values);
+    let sensor_of = |(name, _): &(String, Vec<f64>)| {
+        let (sensor, _) = name.strip_prefix('s')?.split_once('_')?;
+        sensor.parse::<u32>().ok()
+    };
+    let sensors: BTreeSet<u32> = hall.iter().filter_map(sensor_of).collect();
     let mut fields = Vec::new();
     let mut forces = Vec::new();
-    for sensor in 0..SENSORS {
-        let axes = ["x", "y", "z"].map(|axis| column(&format!("s{sensor}_{axis}_lsb")));
-        let (Some(times), [Some(x), Some(y), Some(z)]) = (column("t_us"), axes) else { continue };
+    for sensor in sensors {
+        let axes = ["x", "y", "z"].map(|axis| column(&format!("s{sensor}_{axis}_")));
+        let Some(first) = axes.into_iter().flatten().next() else { continue };
+        let [x, y, z] = axes.map(|axis| axis.unwrap_or(first));
+        let Some(times) = column("t_us") else { continue };
         let field = x.iter().zip(y).zip(z).map(|((x, y), z)| [*x, *y, *z]);
         let place = fields.len();
         fields.push(FieldSeries { time_s: seconds(times), field: field.collect() });
@@ -152,11 +184,12 @@ pub fn of_recording(folder: &Path, search_s: f64) -> Result<Option<Delay>, DataE
             let column = format!("f{sensor}_{letter}_n");
             if let Some((_, values)) = force.iter().find(|(name, _)| *name == column) {
                 let (time_s, force_n) = (seconds(times), values.clone());
-                forces.push(ForceSeries { time_s, force_n, sensor: place, axis });
+                let average_s = median_step(&time_s).unwrap_or(0.0);
+                forces.push(ForceSeries { time_s, force_n, sensor: place, axis, average_s });
             }
         }
     }
-    Ok(estimate(&fields, &forces, search_s))
+    Ok((fields, forces))
 }
 
 /// Largest delay of the reference: that of a slow amplifier and of the buffers on its way.
@@ -367,7 +400,8 @@ const REGRESSORS: usize = 10;
 impl<'a> Channel<'a> {
     fn new(force: &ForceSeries, integrals: &'a [Integral], search_s: f64) -> Option<Self> {
         let integral = integrals.get(force.sensor)?;
-        let half_s = 0.5 * median_step(&force.time_s)?;
+        let half_s = 0.5 * force.average_s.max(0.0);
+        let half_s = if half_s > 0.0 { half_s } else { 0.5 * median_step(&force.time_s)? };
         let margin_s = search_s + half_s;
         let (begin_s, end_s) =
             (integral.series.time_s.first()? + margin_s, integral.series.time_s.last()? - margin_s);

@@ -72,7 +72,7 @@ pub fn run(args: &Args) -> Result<()> {
     }
     let alignment = args.fit.align.alignment()?;
     if let Some(to) = &args.fix {
-        let check = |folder: &Path| scan_with_progress(folder);
+        let check = |folder: &Path| scan_with_progress(folder, alignment);
         let findings = check(&args.campaign)?;
         if findings.iter().all(|finding| finding.fix.is_none()) {
             // What a fit refuses shows only in the fit.

@@ -24,7 +24,7 @@ Examples:
 
 A mapping file:
   description = \"what was recorded\"
-  one_clock = true                  # the sources share one running clock
+  one_clock = true                  # the sources share one running clock; else starts_s = [0, 60]
   [hall]
   clock = { from = \"t_sensor_s\", unit = \"s\" }
   columns = [ { from = \"bx0_uT\", unit = \"uT\", to = \"s0_x_gauss\" } ]

@@ -19,6 +19,7 @@ pub mod operators;
 pub mod parameter;
 pub mod state_series;
 
+use std::borrow::Cow;
 use std::sync::Arc;
 
 use nalgebra::Vector3;
@@ -271,6 +272,14 @@ impl EffectTerm {
         }
     }
 
+    /// Unit of its magnitude.
+    pub fn size_unit(&self) -> Cow<'static, str> {
+        match self {
+            Self::Catalogue(effect) => Cow::Borrowed(effect.size.unit),
+            Self::Expression(expression) => Cow::Owned(expression.size_unit()),
+        }
+    }
+
     /// Required columns besides force and field.
     pub fn needs(&self) -> Vec<String> {
         match (self, self.effect()) {
@@ -287,6 +296,33 @@ impl EffectTerm {
         }
         let first = self.needs().into_iter().next();
         vec![first.unwrap_or_else(|| "force_n".to_owned())]
+    }
+
+    /// Whether it depends on the times between the recordings, besides their order.
+    pub fn depends_on_start(&self) -> bool {
+        match self {
+            Self::Catalogue(effect) => {
+                matches!(effect.id, "field_drift" | "reference_drift" | "demagnetisation")
+            }
+            Self::Expression(expression) => {
+                expression.covariates.iter().any(|name| name == "session_s")
+            }
+        }
+    }
+
+    /// Whether it depends on the times of the rows: by a rate, a time constant or a drift.
+    pub fn depends_on_time(&self) -> bool {
+        match self {
+            Self::Catalogue(effect) => {
+                self.depends_on_start()
+                    || effect.signatures.contains(&Signature::Time)
+                    || matches!(
+                        effect.id,
+                        "viscous_lag" | "creep" | "clock_skew" | "reference_filter"
+                    )
+            }
+            Self::Expression(expression) => expression.depends_on_time(),
+        }
     }
 
     /// True where a held-out recording carries no information on the effect.

@@ -99,6 +99,10 @@ impl FitSetup {
         {
             return Err(first);
         }
+        if let Some(rows) = rows.iter().find(|rows| rows.copied_axes().contains(&true)) {
+            let place = Location::file(&campaign.folder);
+            return Err(FitError::MissingAxes { place, sensor: rows.sensor });
+        }
         let mounted = in_order(rows.par_iter().map(|rows| {
             rows.check_excitation(campaign)?;
             match known(rows.sensor) {

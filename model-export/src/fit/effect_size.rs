@@ -16,10 +16,12 @@ const OUTLIER_RATIO: f64 = 3.0;
 /// Magnitude of an effect.
 #[derive(Clone, Debug)]
 pub struct EffectSize {
-    /// In the unit of `size`.
+    /// In `unit`.
     pub value: f64,
     /// Standard error.
     pub std_error: f64,
+    /// Unit of the magnitude.
+    pub unit: Cow<'static, str>,
     /// Name of the coefficient where there are several.
     pub component: Option<String>,
     /// Definition, with typical and plausible values.
@@ -102,7 +104,9 @@ fn effect_size(
     });
     let degrees = (coefficients * fit.sensors.len()).max(1) as f64;
     let significance = excess.sum::<f64>() / (2.0 * degrees).sqrt();
-    let one_unit = parameters.iter().take(count).all(|p| p.unit == parameters[0].unit);
+    let is_formula = effect.effect().is_none();
+    let one_unit =
+        is_formula || parameters.iter().take(count).all(|p| p.unit == parameters[0].unit);
     let count = if one_unit { count } else { count.saturating_sub(1) };
     let single = |i: usize| {
         mean(fit.sensors.iter().map(|sensor| {
@@ -186,6 +190,7 @@ fn effect_size(
             return EffectSize {
                 value,
                 std_error,
+                unit: Cow::Borrowed(unit),
                 component,
                 size,
                 largest: value.abs(),
@@ -204,6 +209,7 @@ fn effect_size(
     EffectSize {
         value: value * size.factor,
         std_error: (std_error * size.factor).hypot(size.resolution),
+        unit: effect.size_unit(),
         component,
         size,
         largest: largest * size.factor.abs(),

@@ -88,6 +88,10 @@ pub enum FitError {
         "{place}: sensor {sensor} has several forces along one axis, so effects cannot be assigned to one of them; leave one fN_x_n and one fN_z_n"
     )]
     ManyForces { place: Location, sensor: u32 },
+    #[error(
+        "{place}: sensor {sensor} was not recorded on three independent axes, which the magnet's model needs; add them, or fit with --base polynomial"
+    )]
+    MissingAxes { place: Location, sensor: u32 },
     #[error("{place}: {what}; {advice}")]
     Orientation { place: Location, what: String, advice: String },
     #[error(
@@ -111,6 +115,7 @@ impl FitError {
             | Self::TooFewRows { place, .. }
             | Self::Saturated { place, .. }
             | Self::Stuck { place, .. }
+            | Self::MissingAxes { place, .. }
             | Self::ForcesDiffer { place, .. }
             | Self::ManyForces { place, .. }
             | Self::Orientation { place, .. }

@@ -4,7 +4,7 @@ use nalgebra::{DMatrix, DVector, Vector3};
 
 use crate::fit::block_bootstrap::{self, Block};
 use crate::fit::cross_validation::{CvSplit, ErrorSums, RowRange, all_rows, time_slices};
-use crate::fit::rows::{RecordingRows, SensorRows};
+use crate::fit::rows::{RecordingRows, SensorRows, least_rows};
 use crate::fit::{AxisScore, FitError, FitOptions};
 use crate::input::MAX_POLYNOMIAL_TERMS;
 use crate::recordings::columns::Axis;
@@ -170,8 +170,13 @@ pub fn fit(
         (Some(stated), false) => stated..=stated,
         // At least the first, for the error.
         (None, false) => {
-            let largest =
-                (2..=MAX_DEGREE).take_while(|degree| is_small(spans.len(), *degree)).last();
+            let is_determined = |degree: usize| {
+                let terms = Polynomial::term_count(spans.len(), degree);
+                terms.is_some_and(|terms| {
+                    terms <= MAX_POLYNOMIAL_TERMS && rows.len() >= least_rows(terms)
+                })
+            };
+            let largest = (2..=MAX_DEGREE).take_while(|degree| is_determined(*degree)).last();
             1..=largest.unwrap_or(1)
         }
     };
@@ -203,7 +208,11 @@ pub fn fit(
         sensor: rows.sensor,
         model,
         std_error_g,
-        scores: sums.scores(&training, rows.sensor, rows.field_span()),
+        scores: {
+            let copied = rows.copied_axes();
+            let scores = sums.scores(&training, rows.sensor, rows.field_span());
+            scores.into_iter().zip(copied).filter(|(_, copied)| !copied).map(|(of, _)| of).collect()
+        },
         tried: tried.iter().map(|(d, sums)| (*d, sums.mean_square().sqrt())).collect(),
         block_s,
     })

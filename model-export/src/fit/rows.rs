@@ -13,6 +13,10 @@ use crate::recordings::{Campaign, Location, Recording};
 
 /// Minimum standard deviation of a force, in standard deviations of its noise.
 const MIN_EXCITATION: f64 = 10.0;
+/// Share of a field's variance that a force explains from which it moves, whatever its differences from row to row.
+const MIN_FOLLOWED: f64 = 0.01;
+/// F statistic of that line from which it is significant whatever the number of rows.
+const MIN_F: f64 = 30.0;
 
 /// The usable rows of one sensor: field finite on all axes, every force measured.
 #[derive(Clone, Debug)]
@@ -38,11 +42,6 @@ struct ForceSpread {
     noise_n: f64,
 }
 
-/// Minimum number of rows of the geometric base: it has 14 parameters, several rows for each.
-const NEEDED: usize = 100;
-/// Minimum number of rows of a polynomial: that of a calibration with repeated loads.
-const NEEDED_BY_POLYNOMIAL: usize = 30;
-
 /// Maximum number of rows of a campaign that are fitted: half an hour at 100 Hz. The parameters are then determined far better than
 /// any model is right.
 pub const MAX_ROWS: usize = 180_000;
@@ -51,6 +50,18 @@ pub const MAX_ROWS: usize = 180_000;
 const ROWS_PER_TURN: usize = 3;
 /// Maximum spacing in seconds of a sample of evenly spaced rows only.
 const MAX_SPACING_S: f64 = 0.075;
+
+/// Rows that the cylinder base needs: several for each of its 14 parameters.
+const CYLINDER_ROWS: usize = 100;
+/// Rows for each coefficient in the training part of each fold.
+const ROWS_PER_COEFFICIENT: usize = 2;
+/// Folds within a recording.
+const FOLDS: usize = 6;
+
+/// Rows that a base with this many coefficients needs: a fold trains on all but one part of them.
+pub fn least_rows(coefficients: usize) -> usize {
+    (ROWS_PER_COEFFICIENT * coefficients * FOLDS).div_ceil(FOLDS - 1).max(FOLDS)
+}
 
 /// The rows of one recording.
 #[derive(Clone, Debug)]
@@ -109,7 +120,8 @@ impl SensorRows {
                 });
             }
         }
-        Self::collect(campaign, sensor, forces, NEEDED)?.without_unloaded(campaign)
+        let rows = Self::collect(campaign, sensor, forces, CYLINDER_ROWS)?;
+        rows.without_unloaded(campaign)
     }
 
     /// Rows of `sensor` with the recorded forces of its own place or, where there are none, with all forces
@@ -141,7 +153,8 @@ impl SensorRows {
                 axis: "x and z",
             });
         }
-        Self::collect(campaign, sensor, forces, NEEDED_BY_POLYNOMIAL)?.without_unloaded(campaign)
+        let needed = least_rows(1 + forces.len());
+        Self::collect(campaign, sensor, forces, needed)?.without_unloaded(campaign)
     }
 
     /// Without the forces that are zero within their noise, where another one moves.
@@ -155,7 +168,8 @@ impl SensorRows {
         if loaded.is_empty() || loaded.len() == self.forces.len() {
             return Ok(self);
         }
-        Self::collect(campaign, self.sensor, loaded, NEEDED_BY_POLYNOMIAL)
+        let needed = least_rows(1 + loaded.len());
+        Self::collect(campaign, self.sensor, loaded, needed)
     }
 
     fn spread(&self, force: usize) -> ForceSpread {
@@ -218,6 +232,15 @@ impl SensorRows {
         self
     }
 
+    /// Axes that are copies of an earlier one: a sensor of one or two axes has its first in the place of each that it lacks.
+    pub fn copied_axes(&self) -> [bool; 3] {
+        let is_copy = |axis: usize, of: usize| {
+            let mut fields = self.parts.iter().flat_map(|part| &part.field_g);
+            fields.all(|field| field[axis] == field[of])
+        };
+        [false, is_copy(1, 0), is_copy(2, 0) || is_copy(2, 1)]
+    }
+
     /// Rejects a constant field channel, and a force that varies little more than its noise.
     pub fn check_excitation(&self, campaign: &Campaign) -> Result<(), FitError> {
         let folder = Location::file(&campaign.folder);
@@ -229,12 +252,35 @@ impl SensorRows {
         }
         for (i, (place, axis)) in self.forces.iter().enumerate() {
             let ForceSpread { sigma_n, noise_n, .. } = self.spread(i);
-            if sigma_n <= MIN_EXCITATION * noise_n {
+            // Rows in random order have no noise in their differences: there the field shows whether the load moved.
+            if sigma_n <= MIN_EXCITATION * noise_n && !self.is_followed(i) {
                 let place = folder.clone().column(format!("f{place}_{}_n", axis.letter()));
                 return Err(FitError::ConstantForce { place });
             }
         }
         Ok(())
+    }
+
+    /// Whether a straight line in this force explains a significant share of the variance of a field axis.
+    fn is_followed(&self, force: usize) -> bool {
+        let rows = || {
+            let parts = self.parts.iter();
+            parts.flat_map(|part| part.force_n.iter().map(|row| row[force]).zip(&part.field_g))
+        };
+        let count = self.len() as f64;
+        let mean_n = rows().map(|(newtons, _)| newtons).sum::<f64>() / count;
+        let mean_g = rows().map(|(_, field)| field).sum::<Vector3<f64>>() / count;
+        let (mut newtons_2, mut field_2, mut product) = (0.0, Vector3::zeros(), Vector3::zeros());
+        for (newtons, field) in rows() {
+            let (x, y) = (newtons - mean_n, field - mean_g);
+            newtons_2 += x * x;
+            field_2 += y.component_mul(&y);
+            product += x * y;
+        }
+        let share = |axis: usize| product[axis] * product[axis] / (newtons_2 * field_2[axis]);
+        (0..3)
+            .map(share)
+            .any(|share| share > MIN_FOLLOWED && share * (count - 2.0) > MIN_F * (1.0 - share))
     }
 
     /// The derivatives to the measured forces, in the order of [`SensorRows::forces`].

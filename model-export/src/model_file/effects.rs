@@ -68,7 +68,7 @@ impl EffectModel {
                     },
                     value: digits(size.value),
                     std_error: digits(size.std_error),
-                    unit: size.size.unit.to_owned(),
+                    unit: size.unit.into_owned(),
                     sensors: sensor_effects(fit, effects, effect, recordings),
                 }
             })

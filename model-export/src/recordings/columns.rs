@@ -45,6 +45,29 @@ pub enum FieldUnit {
     Lsb,
     /// Gauss.
     Gauss,
+    /// Another unit, by its suffix: the signal of a sensor that is not a magnetometer, such as a load cell's voltage.
+    Other(&'static str),
+}
+
+impl FieldUnit {
+    /// Suffix of the column.
+    pub fn suffix(self) -> &'static str {
+        match self {
+            Self::Lsb => "lsb",
+            Self::Gauss => "gauss",
+            Self::Other(suffix) => suffix,
+        }
+    }
+
+    /// Unit with this suffix; a time is none.
+    fn of_suffix(suffix: &str) -> Option<Self> {
+        match column_units().into_iter().find(|unit| *unit == suffix)? {
+            "us" => None,
+            "lsb" => Some(Self::Lsb),
+            "gauss" => Some(Self::Gauss),
+            other => Some(Self::Other(other)),
+        }
+    }
 }
 
 /// A column of `hall.csv`.
@@ -52,13 +75,13 @@ pub enum FieldUnit {
 pub enum HallColumn {
     /// `t_us`: the board's clock in microseconds.
     Time,
-    /// `sN_x_lsb` or `sN_x_gauss`.
+    /// `sN_x_lsb`, `sN_x_gauss`, or a signal in another unit such as `sN_x_v`.
     Field {
         /// Index of the sensor.
         sensor: u32,
         /// Field axis.
         axis: Axis,
-        /// Raw counts or gauss.
+        /// Unit of the values.
         unit: FieldUnit,
     },
     /// `sN_temp_c`: temperature of the sensor.
@@ -137,16 +160,11 @@ pub fn hall_column(name: &str, declared: &[String]) -> Result<HallColumn, ErrorK
         }
         let (letter, unit) = rest.split_once('_').unwrap_or((rest, ""));
         if let Some(axis) = Axis::from_letter(letter) {
-            let unit = match unit {
-                "lsb" => FieldUnit::Lsb,
-                "gauss" => FieldUnit::Gauss,
-                _ => {
-                    return Err(wrong_unit(
-                        name,
-                        &[&format!("s{sensor}_{letter}_lsb"), &format!("s{sensor}_{letter}_gauss")],
-                    ));
-                }
-            };
+            let unit = FieldUnit::of_suffix(unit).ok_or_else(|| {
+                let [raw, field] =
+                    ["lsb", "gauss"].map(|unit| format!("s{sensor}_{letter}_{unit}"));
+                wrong_unit(name, &[&raw, &field])
+            })?;
             return Ok(HallColumn::Field { sensor, axis, unit });
         }
         if rest == "temp" || rest.starts_with("temp_") {
@@ -251,14 +269,17 @@ impl ChannelLayout {
         sensors.into_iter().collect()
     }
 
-    /// Channels of the three axes of a sensor in [`ChannelLayout::hall`].
+    /// Channels of the three axes of a sensor in [`ChannelLayout::hall`]. A sensor of one or two axes has its first one in the place
+    /// of each that it lacks.
     pub fn field_channels(&self, sensor: u32) -> Option<[usize; 3]> {
         let channel = |of_axis: Axis| {
             self.hall.iter().position(|column| {
                 matches!(column, HallColumn::Field { sensor: s, axis, .. } if *s == sensor && *axis == of_axis)
             })
         };
-        Some([channel(Axis::X)?, channel(Axis::Y)?, channel(Axis::Z)?])
+        let channels = Axis::ALL.map(channel);
+        let first = channels.into_iter().flatten().next()?;
+        Some(channels.map(|channel| channel.unwrap_or(first)))
     }
 }
 
@@ -275,6 +296,17 @@ mod tests {
         let column = hall_column("s12_z_gauss", &[]).unwrap();
         let expected = HallColumn::Field { sensor: 12, axis: Axis::Z, unit: FieldUnit::Gauss };
         assert_eq!(column, expected);
+    }
+
+    #[test]
+    fn signals_in_other_units_are_fields_of_a_sensor() {
+        let column = hall_column("s0_x_v", &[]).unwrap();
+        let expected = HallColumn::Field { sensor: 0, axis: Axis::X, unit: FieldUnit::Other("v") };
+        assert_eq!(column, expected);
+        assert!(hall_column("s0_x_us", &[]).is_err());
+        let layout = ChannelLayout { hall: vec![HallColumn::Time, expected], forces: Vec::new() };
+        assert_eq!(layout.field_channels(0), Some([1; 3]));
+        assert_eq!(layout.field_channels(1), None);
     }
 
     #[test]

@@ -228,7 +228,8 @@ pub struct CsvTable {
     reader: CsvReader,
     header: Vec<String>,
     record: csv::ByteRecord,
-    time_column: usize,
+    /// `None` where rows have no time.
+    time_column: Option<usize>,
     rules: Vec<CellRule>,
     has_limits: bool,
     previous: Option<CsvRow>,
@@ -290,7 +291,7 @@ impl CsvTable {
             has_limits: false,
             header,
             record,
-            time_column: 0,
+            time_column: Some(0),
             previous: None,
             buffered: VecDeque::new(),
         })
@@ -322,7 +323,13 @@ impl CsvTable {
 
     /// Sets the index of the clock column, and the rule of each column.
     pub fn set_rules(&mut self, time_column: usize, rules: Vec<CellRule>) {
-        self.time_column = time_column;
+        self.time_column = Some(time_column);
+        self.rules = rules;
+    }
+
+    /// Sets the rule of each column of a table without a clock.
+    pub fn set_untimed_rules(&mut self, rules: Vec<CellRule>) {
+        self.time_column = None;
         self.rules = rules;
     }
 
@@ -344,15 +351,17 @@ impl CsvTable {
         if self.buffered.is_empty() {
             return Err(ErrorKind::NoRows.at(Location::file(&self.path)));
         }
-        let times = self.buffered.iter().map(|row| row.cells[self.time_column]);
+        let Some(time_column) = self.time_column else { return Ok(0.0) };
+        let times = self.buffered.iter().map(|row| row.cells[time_column]);
         let mut periods: Vec<f64> = times.clone().zip(times.skip(1)).map(|(a, b)| b - a).collect();
         periods.sort_by(f64::total_cmp);
         Ok(periods.get(periods.len() / 2).copied().unwrap_or(0.0))
     }
 
-    /// Times of the rows that [`CsvTable::median_period`] has buffered.
+    /// Times of the rows that [`CsvTable::median_period`] has buffered; none of a table without a clock.
     pub fn buffered_times(&self) -> impl Iterator<Item = f64> {
-        self.buffered.iter().map(|row| row.cells[self.time_column])
+        let column = self.time_column;
+        self.buffered.iter().filter_map(move |row| row.cells.get(column?).copied())
     }
 
     /// The next row, without consuming it.
@@ -377,15 +386,16 @@ impl CsvTable {
     fn read_row(&mut self) -> Result<Option<CsvRow>, DataError> {
         loop {
             match self.read_any_row()? {
-                Some(row) if row.cells[self.time_column].is_nan() && self.has_optional_clock() => {}
+                Some(row) if self.is_without_time(&row) => {}
                 Some(row) => return self.accepted(row).map(Some),
                 None => return Ok(None),
             }
         }
     }
 
-    fn has_optional_clock(&self) -> bool {
-        self.rules[self.time_column] == CellRule::Optional
+    fn is_without_time(&self, row: &CsvRow) -> bool {
+        let is_optional = |column: usize| self.rules[column] == CellRule::Optional;
+        self.time_column.is_some_and(|column| row.cells[column].is_nan() && is_optional(column))
     }
 
     fn read_any_row(&mut self) -> Result<Option<CsvRow>, DataError> {
@@ -402,7 +412,7 @@ impl CsvTable {
         for (i, cell) in self.record.iter().enumerate() {
             let value = parse_cell(cell, self.rules[i])
                 .map_err(|kind| kind.at(self.cell_location(line, i)))?;
-            let max = if i == self.time_column { MAX_TIME_US } else { MAX_MAGNITUDE };
+            let max = if Some(i) == self.time_column { MAX_TIME_US } else { MAX_MAGNITUDE };
             if self.has_limits && value.abs() > max {
                 return Err(ErrorKind::Implausible { value, max }.at(self.cell_location(line, i)));
             }
@@ -422,11 +432,11 @@ impl CsvTable {
     }
 
     fn check_clock(&self, row: &CsvRow) -> Result<(), DataError> {
-        let Some(previous) = &self.previous else {
+        let (Some(previous), Some(time_column)) = (&self.previous, self.time_column) else {
             return Ok(());
         };
-        let (before, after) = (previous.cells[self.time_column], row.cells[self.time_column]);
-        let location = || self.cell_location(row.line, self.time_column);
+        let (before, after) = (previous.cells[time_column], row.cells[time_column]);
+        let location = || self.cell_location(row.line, time_column);
         if after < before {
             return Err(ErrorKind::ClockBackwards { before, after }.at(location()));
         }
@@ -543,8 +553,8 @@ impl ClockMonitor {
 
 /// Below every sensor's period: the clock is in another unit.
 const MIN_PERIOD_US: f64 = 20.0;
-/// Above every sensor's period: the clock is in another unit too.
-const MAX_PERIOD_US: f64 = 1e6;
+/// Above the period of a logger that measures by hand, one hour: the clock is in another unit too.
+const MAX_PERIOD_US: f64 = 3.6e9;
 
 /// Median period of a table's clock.
 ///

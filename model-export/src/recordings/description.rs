@@ -1,5 +1,6 @@
 //! `recording.toml`: description, sensor scale and nominal design.
 
+use std::fmt;
 use std::path::Path;
 
 use firmware::config::constants;
@@ -27,8 +28,18 @@ pub struct RecordingDescription {
     /// Date of the recording, free text.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub recorded: Option<String>,
-    /// Start of the recording in seconds since the campaign began.
+    /// Start of the recording in seconds since the campaign began; zero where it is absent, and then assumed.
+    #[serde(default)]
     pub start_s: f64,
+    /// Origin of `start_s`: without the key stated.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub start: Option<TimeOrigin>,
+    /// Origin of the times within the recording: without the key measured.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub clock: Option<TimeOrigin>,
+    /// Channels with a clock of their own that were joined with the rows, each with its shift.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub joined: Vec<JoinedChannel>,
     /// Scale of the raw counts; required where a column ends in `_lsb`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub gauss_per_lsb: Option<f64>,
@@ -44,6 +55,42 @@ pub struct RecordingDescription {
     /// Unrecognised keys, reported as notices.
     #[serde(flatten, skip_serializing)]
     unknown: toml::Table,
+}
+
+/// Columns that were sampled at other times than the rows and interpolated to these.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct JoinedChannel {
+    /// Name in the source.
+    pub source: String,
+    /// How much later than the nearest row it was sampled, in milliseconds: median, 5 % and 95 % quantile.
+    pub shift_ms: [f64; 3],
+    /// Columns of the recording.
+    pub columns: Vec<String>,
+    /// Factor by which interpolation makes the noise that its rows show smaller than that of its samples.
+    pub noise_factor: f64,
+}
+
+impl fmt::Display for JoinedChannel {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [median, low, high] = self.shift_ms;
+        write!(
+            f,
+            "{} was sampled {median:+.2} ms (from {low:+.2} to {high:+.2} ms) after the nearest row: interpolated to the times of the rows",
+            self.source
+        )
+    }
+}
+
+/// Where times come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum TimeOrigin {
+    /// By one clock for all recordings.
+    Measured,
+    /// By the user.
+    Stated,
+    /// Unknown: recordings are placed end to end, rows at equal distances. Nothing that depends on it can be found.
+    Assumed,
 }
 
 /// Key of the motor's pole pairs in a design.
@@ -238,6 +285,9 @@ impl RecordingDescription {
             description: description.into(),
             recorded: None,
             start_s,
+            start: None,
+            clock: None,
+            joined: Vec::new(),
             gauss_per_lsb: None,
             range_gauss: None,
             covariates: Vec::new(),
@@ -253,13 +303,17 @@ impl RecordingDescription {
             ErrorKind::Unreadable(cause) if cause.kind() == std::io::ErrorKind::NotFound => {
                 ErrorKind::MissingFile {
                     name: RECORDING_FILE,
-                    advice: "it needs at least `format = 1`, `start_s` and, for raw counts, `gauss_per_lsb`",
+                    advice: "it needs at least `format = 1`, for drift `start_s`, and, for raw counts, `gauss_per_lsb`",
                 }
                 .at(Location::file(folder))
             }
             _ => error,
         })?;
-        let description: Self = parse_toml(&path, &text)?;
+        let mut description: Self = parse_toml(&path, &text)?;
+        let has_start = parse_toml::<toml::Table>(&path, &text)?.contains_key("start_s");
+        if !has_start {
+            description.start = Some(TimeOrigin::Assumed);
+        }
         description.check(&path)?;
         let notices = description.unknown_keys(&path);
         Ok((description, notices))
@@ -272,6 +326,22 @@ impl RecordingDescription {
             .map_err(|error| ErrorKind::Toml(error.to_string()).at(Location::file(&path)))?;
         std::fs::write(&path, text)
             .map_err(|error| ErrorKind::Unwritable(error).at(Location::file(&path)))
+    }
+
+    /// Noise of a row of this column relative to what its differences from row to row show.
+    pub fn noise_factor(&self, column: &str) -> f64 {
+        let is_own = |channel: &&JoinedChannel| channel.columns.iter().any(|own| own == column);
+        self.joined.iter().find(is_own).map_or(1.0, |channel| channel.noise_factor)
+    }
+
+    /// Whether the start of the recording is unknown.
+    pub fn is_start_assumed(&self) -> bool {
+        self.start == Some(TimeOrigin::Assumed)
+    }
+
+    /// Whether the times of the rows are unknown.
+    pub fn is_clock_assumed(&self) -> bool {
+        self.clock == Some(TimeOrigin::Assumed)
     }
 
     /// Magnitude in gauss from which a sample counts as saturated; `is_raw`: recorded as raw counts.
@@ -311,6 +381,12 @@ impl RecordingDescription {
         if self.covariates.len() > MAX_COLUMNS {
             let kind = ErrorKind::TooManyColumns { found: self.covariates.len(), max: MAX_COLUMNS };
             return Err(kind.at(Location::file(path).column("covariates")));
+        }
+        for channel in &self.joined {
+            if !(0.01..=100.0).contains(&channel.noise_factor) {
+                let found = format!("{:?}", channel.noise_factor);
+                return bad("joined.noise_factor", found, "give a factor of 0.01 to 100");
+            }
         }
         for name in &self.covariates {
             if column_unit(name).is_none() {

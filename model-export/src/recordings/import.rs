@@ -4,6 +4,7 @@
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
+use std::time::{Duration, UNIX_EPOCH};
 
 use flate2::Compression;
 use flate2::write::GzEncoder;
@@ -11,14 +12,16 @@ use flate2::write::GzEncoder;
 use crate::output::StagingDir;
 use crate::recordings::align::Alignment;
 use crate::recordings::campaign::Campaign;
-use crate::recordings::csv_table::{CellRule, CsvTable};
-use crate::recordings::description::RecordingDescription;
+use crate::recordings::columns::is_angle;
+use crate::recordings::csv_table::{CellRule, CsvRow, CsvTable};
+use crate::recordings::description::{JoinedChannel, RecordingDescription, TimeOrigin};
 use crate::recordings::error::{DataError, ErrorKind, Location, Notice, closest_match};
 use crate::recordings::mapping::{
-    ATTITUDE_COLUMNS, Mapping, TableMapping, conversion_factor, euler_angles,
+    ATTITUDE_COLUMNS, ColumnMapping, Mapping, TableMapping, conversion, conversion_factor,
+    euler_angles,
 };
 use crate::recordings::mcap::{self, Join, Undecodable};
-use crate::recordings::units::round_significant;
+use crate::recordings::units::{find_unit, round_significant};
 
 /// Significant digits of imported values: exceeds the resolution of any sensor, avoids 0.30000000000000004.
 const IMPORTED_DIGITS: usize = 9;
@@ -28,9 +31,12 @@ const IMPORTED_DIGITS: usize = 9;
 pub struct Imported {
     /// Path of the folder.
     pub folder: PathBuf,
-    /// Number of board rows, reference rows, reference rows with a force.
-    pub rows: (u64, u64, u64),
+    /// Rows of its tables.
+    pub rows: RowCounts,
 }
+
+/// Number of board rows, reference rows, reference rows with a force.
+pub type RowCounts = (u64, u64, u64);
 
 /// Converts `sources` (files, or folders where the mapping names the two files) to the campaign `target`,
 /// which must not exist; a failed import leaves no folder. `done` is called with each converted source.
@@ -46,21 +52,32 @@ pub fn import(
         return Err(ErrorKind::bad_value("an existing folder", advice).at(Location::file(target)));
     }
     let draft = StagingDir::new(target, "import")?;
+    if !mapping.starts_s.is_empty() && mapping.starts_s.len() != sources.len() {
+        let found = format!("{} starts for {} sources", mapping.starts_s.len(), sources.len());
+        let kind = ErrorKind::bad_value(found, "give one for each source, in their order");
+        return Err(kind.at(Location::file(mapping_path).column("starts_s")));
+    }
     let mut start = CampaignStart::default();
+    let mut joins = Vec::new();
     let mut imported = Vec::new();
     for (i, source) in sources.iter().enumerate() {
         let name = (i + 1).to_string();
         let folder = draft.path().join(&name);
         std::fs::create_dir(&folder)
             .map_err(|error| ErrorKind::Unwritable(error).at(Location::file(target)))?;
-        let rows = import_one(&mapping, mapping_path, source, &folder, &mut start)?;
+        start.stated_s = mapping.starts_s.get(i).copied();
+        let (rows, joined) = import_one(&mapping, mapping_path, source, &folder, &mut start)?;
+        let place = Location::file(&target.join(&name));
+        let notice = |message| Notice { location: place.clone(), message };
+        joins.extend(joined.iter().map(ToString::to_string).map(notice));
         imported.push(Imported { folder: target.join(name), rows });
         done(source);
     }
     // Validation by the regular reader, before anything becomes visible.
     let campaign = Campaign::read(draft.path(), Alignment { delay_us: 0.0 }, |_| ())
         .map_err(|error| error.moved(draft.path(), target))?;
-    let notices = campaign.notices().map(|notice| notice.moved(draft.path(), target)).collect();
+    let notices = campaign.notices().map(|notice| notice.moved(draft.path(), target));
+    let notices = notices.chain(joins).collect();
     draft.commit(target)?;
     Ok((imported, notices))
 }
@@ -70,6 +87,31 @@ pub fn import(
 struct CampaignStart {
     first_us: Option<f64>,
     end_us: f64,
+    /// That of the present source, where the mapping states it.
+    stated_s: Option<f64>,
+}
+
+impl CampaignStart {
+    /// Start in seconds of a recording whose clock begins at `origin_us`, and its origin.
+    fn next(&mut self, is_one_clock: bool, origin_us: f64) -> (f64, TimeOrigin) {
+        if is_one_clock {
+            let first_us = *self.first_us.get_or_insert(origin_us);
+            return ((origin_us - first_us).round() / 1e6, TimeOrigin::Measured);
+        }
+        match self.stated_s {
+            Some(stated_s) => (stated_s, TimeOrigin::Stated),
+            None => (self.end_us.round() / 1e6, TimeOrigin::Assumed),
+        }
+    }
+}
+
+/// Times since 1970 that a clock can have, in microseconds: 2001 to 2100.
+const EPOCH_US: std::ops::Range<f64> = 1e15..4.1e15;
+
+/// Date and time of a clock that counts since 1970.
+fn date(time_us: f64) -> Option<String> {
+    let since = EPOCH_US.contains(&time_us).then(|| Duration::from_secs_f64(1e-6 * time_us))?;
+    Some(humantime::format_rfc3339_seconds(UNIX_EPOCH + since).to_string())
 }
 
 fn import_one(
@@ -78,13 +120,15 @@ fn import_one(
     source: &Path,
     folder: &Path,
     start: &mut CampaignStart,
-) -> Result<(u64, u64, u64), DataError> {
+) -> Result<(RowCounts, Vec<JoinedChannel>), DataError> {
     let (hall, force) = rayon::join(
         || SourceTable::open(&mapping.hall, CellRule::Number, mapping_path, source),
         || SourceTable::open(&mapping.force, CellRule::Optional, mapping_path, source),
     );
     let (mut hall, mut force) = (hall?, force?);
     let origin_us = hall.first_time_us()?;
+    let recorded = date(origin_us - hall.clock_offset_us);
+    let joined: Vec<JoinedChannel> = hall.joined.iter().chain(&force.joined).cloned().collect();
     let force_path = folder.join("force.csv.gz");
     let (hall, force) = rayon::join(
         || hall.write(&folder.join("hall.csv.gz"), origin_us, false),
@@ -99,35 +143,59 @@ fn import_one(
             false,
         )?;
     }
-    let start_us = if mapping.one_clock {
-        origin_us - *start.first_us.get_or_insert(origin_us)
-    } else {
-        start.end_us
-    };
+    let (start_s, origin) = start.next(mapping.one_clock, origin_us);
     start.end_us += last_us;
-    let mut description =
-        RecordingDescription::new(mapping.description.clone(), start_us.round() / 1e6);
+    let mut description = RecordingDescription::new(mapping.description.clone(), start_s);
+    description.start = Some(origin);
+    let is_untimed = mapping.hall.clock.row_s.is_some();
+    description.clock = is_untimed.then_some(TimeOrigin::Assumed);
+    description.recorded = recorded;
+    description.joined = joined.clone();
     description.covariates = mapping.covariates();
     description.range_gauss = mapping.range_gauss;
     description.gauss_per_lsb = mapping.gauss_per_lsb;
     description.design = mapping.design.clone();
     description.write(folder)?;
-    Ok((hall_rows, force_rows, measured))
+    Ok(((hall_rows, force_rows, measured), joined))
 }
 
 /// One table of a source and the conversion of its columns.
 struct SourceTable {
     table: CsvTable,
-    clock: usize,
-    clock_factor: f64,
+    clock: SourceClock,
     clock_offset_us: f64,
+    /// Topics with a clock of their own.
+    joined: Vec<JoinedChannel>,
     columns: Vec<SourceColumn>,
     /// Indices of the quaternion's columns.
     attitude: Option<[usize; 4]>,
 }
 
+/// Clock of a source.
+#[derive(Clone, Copy)]
+enum SourceClock {
+    /// Index of its column, and its unit in microseconds.
+    Column(usize, f64),
+    /// Distance of the rows in microseconds.
+    Rows(f64),
+}
+
+impl SourceClock {
+    /// Time of a row, of which `before` precede it.
+    fn time_us(self, row: &CsvRow, before: u64) -> f64 {
+        match self {
+            Self::Column(column, factor) => row.cells[column] * factor,
+            Self::Rows(step_us) => before as f64 * step_us,
+        }
+    }
+}
+
 /// The table of a bag with the columns of a mapping.
-fn bag_table(mapping: &TableMapping, rule: CellRule, path: &Path) -> Result<CsvTable, DataError> {
+fn bag_table(
+    mapping: &TableMapping,
+    rule: CellRule,
+    path: &Path,
+) -> Result<(CsvTable, Vec<JoinedChannel>), DataError> {
     let columns = mapping.columns.iter().map(|column| column.from.as_str());
     let attitude = mapping.attitude.iter().flat_map(|attitude| attitude.columns());
     let mut columns: Vec<&str> = columns.chain(attitude).collect();
@@ -140,15 +208,39 @@ fn bag_table(mapping: &TableMapping, rule: CellRule, path: &Path) -> Result<CsvT
         columns.iter().chain([&clock]).any(|column| is_of_topic(column))
     };
     let topics = mcap::read_topics(path, is_wanted, Undecodable::Refuse)?;
-    let join = if rule == CellRule::Number { Join::Nearest } else { Join::Once };
-    CsvTable::from_text(path, mcap::join_topics(path, &topics, clock, &columns, join)?)
+    // Half a turn in the unit of the source: between two angles that are further apart it has wrapped.
+    let half_turn = |name: &str| {
+        let column = mapping.columns.iter().find(|column| column.from == name)?;
+        let unit = find_unit(&column.unit).filter(|_| is_angle(&column.to))?;
+        Some(std::f64::consts::PI / unit.factor)
+    };
+    let columns: Vec<(&str, Option<f64>)> =
+        columns.into_iter().map(|name| (name, half_turn(name))).collect();
+    let join = if rule == CellRule::Number { Join::EveryRow } else { Join::Once };
+    let joined = mcap::join_topics(path, &topics, clock, &columns, join)?;
+    let mut channels = joined.joined;
+    for channel in &mut channels {
+        let is_own = |column: &&ColumnMapping| channel.columns.contains(&column.from);
+        let own = mapping.columns.iter().filter(is_own).map(|column| column.to.clone());
+        channel.columns = own.collect();
+    }
+    Ok((CsvTable::from_text(path, joined.text)?, channels))
 }
 
 struct SourceColumn {
     index: usize,
     to: String,
     factor: f64,
+    offset: f64,
     missing: Option<f64>,
+}
+
+impl SourceColumn {
+    /// Value in the unit of the target; of counts between two messages the nearest one.
+    fn converted(&self, value: f64, is_joined: bool) -> f64 {
+        let value = value * self.factor + self.offset;
+        if is_joined && self.to.ends_with("_lsb") { value.round() } else { value }
+    }
 }
 
 impl SourceTable {
@@ -162,10 +254,10 @@ impl SourceTable {
             Some(file) => source.join(file),
             None => source.to_path_buf(),
         };
-        let mut table = if mcap::is_bag(&path) {
+        let (mut table, joined) = if mcap::is_bag(&path) {
             bag_table(mapping, rule, &path)?
         } else {
-            CsvTable::open_foreign(&path)?
+            (CsvTable::open_foreign(&path)?, Vec::new())
         };
         let index = |name: &str| {
             table.header().iter().position(|column| column == name).ok_or_else(|| {
@@ -177,14 +269,20 @@ impl SourceTable {
                 ErrorKind::MissingColumn { advice }.at(table.header_location(name))
             })
         };
-        let clock = index(&mapping.clock.from)?;
+        let clock_factor =
+            conversion_factor(mapping_path, &mapping.clock.unit, "t_us", &mapping.clock.from)?;
+        let clock = match mapping.clock.row_s {
+            Some(row_s) => SourceClock::Rows(1e6 * row_s),
+            None => SourceClock::Column(index(&mapping.clock.from)?, clock_factor),
+        };
         let mut columns = Vec::new();
         for column in &mapping.columns {
+            let conversion = conversion(mapping_path, &column.unit, &column.to, &column.to)?;
             columns.push(SourceColumn {
                 index: index(&column.from)?,
                 to: column.to.clone(),
-                factor: column.scale
-                    * conversion_factor(mapping_path, &column.unit, &column.to, &column.to)?,
+                factor: column.scale * conversion.factor,
+                offset: conversion.offset,
                 missing: column.missing,
             });
         }
@@ -202,25 +300,25 @@ impl SourceTable {
         for column in &columns {
             rules[column.index] = rule;
         }
-        // A row without a time is one of the other table of the same file.
-        rules[clock] = CellRule::Optional;
-        table.set_rules(clock, rules);
-        let clock_factor =
-            conversion_factor(mapping_path, &mapping.clock.unit, "t_us", &mapping.clock.from)?;
+        match clock {
+            SourceClock::Column(column, _) => {
+                // A row without a time is one of the other table of the same file.
+                rules[column] = CellRule::Optional;
+                table.set_rules(column, rules);
+            }
+            SourceClock::Rows(_) => table.set_untimed_rules(rules),
+        }
         let first = match mapping.clock.from_first_row {
-            true => table.peek()?.map_or(0.0, |row| row.cells[clock] * clock_factor),
+            true => table.peek()?.map_or(0.0, |row| clock.time_us(row, 0)),
             false => 0.0,
         };
         let clock_offset_us = mapping.clock.offset_s * 1e6 - first;
-        Ok(Self { table, clock, clock_factor, clock_offset_us, columns, attitude })
+        Ok(Self { table, clock, clock_offset_us, joined, columns, attitude })
     }
 
     /// Time of the first row, which is not consumed.
     fn first_time_us(&mut self) -> Result<f64, DataError> {
-        let first = self
-            .table
-            .peek()?
-            .map(|row| row.cells[self.clock] * self.clock_factor + self.clock_offset_us);
+        let first = self.table.peek()?.map(|row| self.clock.time_us(row, 0) + self.clock_offset_us);
         first.ok_or_else(|| ErrorKind::NoRows.at(Location::file(self.table.path())))
     }
 
@@ -239,9 +337,10 @@ impl SourceTable {
         let angles = ATTITUDE_COLUMNS.iter().copied().filter(|_| self.attitude.is_some());
         let header: Vec<&str> = ["t_us"].into_iter().chain(names).chain(angles).collect();
         writeln!(out, "{}", header.join(",")).map_err(failed)?;
+        let is_joined = !self.joined.is_empty();
         let (mut rows, mut measured, mut last_us, mut attitude) = (0, 0, 0.0, None);
         while let Some(row) = self.table.next_row()? {
-            last_us = row.cells[self.clock] * self.clock_factor + self.clock_offset_us - origin_us;
+            last_us = self.clock.time_us(&row, rows) + self.clock_offset_us - origin_us;
             let mut line = last_us.round().to_string();
             let mut any = false;
             for column in &self.columns {
@@ -250,7 +349,8 @@ impl SourceTable {
                 if !value.is_nan() && Some(value) != column.missing {
                     any = true;
                     line.push_str(
-                        &round_significant(value * column.factor, IMPORTED_DIGITS).to_string(),
+                        &round_significant(column.converted(value, is_joined), IMPORTED_DIGITS)
+                            .to_string(),
                     );
                 }
             }

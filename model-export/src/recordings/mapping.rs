@@ -22,6 +22,10 @@ pub struct Mapping {
     /// recordings are placed end to end.
     #[serde(default)]
     pub one_clock: bool,
+    /// Starts of the recordings in seconds, in the order of the sources: for sources whose clocks begin anew. Without it, and without
+    /// `one_clock`, they are assumed.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub starts_s: Vec<f64>,
     /// Range of the sensor in gauss, if known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub range_gauss: Option<f64>,
@@ -57,10 +61,15 @@ pub struct TableMapping {
 #[derive(Clone, Debug, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct ClockMapping {
-    /// Column of the source.
+    /// Column of the source; absent with `row_s`.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
     pub from: String,
     /// Unit of the source.
+    #[serde(default = "second")]
     pub unit: String,
+    /// Distance of the rows in seconds, for a table without a clock: its times are assumed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub row_s: Option<f64>,
     /// Added to the clock, in seconds: aligns clocks of different epochs.
     #[serde(default)]
     pub offset_s: f64,
@@ -91,6 +100,10 @@ fn one() -> f64 {
     1.0
 }
 
+fn second() -> String {
+    "s".to_owned()
+}
+
 impl Mapping {
     /// Reads and validates a mapping file.
     pub fn read(path: &Path) -> Result<Self, DataError> {
@@ -100,7 +113,7 @@ impl Mapping {
         for table in [&mapping.hall, &mapping.force] {
             conversion_factor(path, &table.clock.unit, "t_us", &table.clock.from)?;
             for column in &table.columns {
-                conversion_factor(path, &column.unit, &column.to, &column.to)?;
+                conversion(path, &column.unit, &column.to, &column.to)?;
                 if !column.scale.is_finite() || column.scale == 0.0 {
                     let found = format!("scale = {}", column.scale);
                     let kind = ErrorKind::bad_value(found, "give a number other than zero");
@@ -113,6 +126,7 @@ impl Mapping {
                     return Err(ErrorKind::bad_value(found, advice).at(location(&column.to)));
                 }
             }
+            table.clock.check(path)?;
             let offset_s = table.clock.offset_s;
             if !(-MAX_START_S..=MAX_START_S).contains(&offset_s) {
                 let found = format!("offset_s = {offset_s:?}");
@@ -132,6 +146,7 @@ impl Mapping {
             let kind = ErrorKind::bad_value("from_first_row with one_clock", advice);
             return Err(kind.at(location("one_clock")));
         }
+        mapping.check_starts(path)?;
         let declared = mapping.covariates();
         for column in &mapping.hall.columns {
             hall_column(&column.to, &declared).map_err(|kind| kind.at(location(&column.to)))?;
@@ -152,6 +167,20 @@ impl Mapping {
         Ok(mapping)
     }
 
+    fn check_starts(&self, path: &Path) -> Result<(), DataError> {
+        let bad = |found: String, advice: &str| {
+            Err(ErrorKind::bad_value(found, advice).at(Location::file(path).column("starts_s")))
+        };
+        if self.one_clock && !self.starts_s.is_empty() {
+            return bad("starts_s with one_clock".to_owned(), "give one of the two");
+        }
+        match self.starts_s.iter().find(|start_s| !(-MAX_START_S..=MAX_START_S).contains(*start_s))
+        {
+            Some(start_s) => bad(format!("{start_s:?}"), "give seconds since the first recording"),
+            None => Ok(()),
+        }
+    }
+
     /// Target columns that `recording.toml` must declare as covariates.
     pub(super) fn covariates(&self) -> Vec<String> {
         let names = self.hall.columns.iter().map(|column| &column.to);
@@ -164,6 +193,47 @@ impl Mapping {
             .cloned()
             .collect()
     }
+}
+
+impl ClockMapping {
+    /// A clock is a column, or the number of the row.
+    fn check(&self, path: &Path) -> Result<(), DataError> {
+        let (found, advice) = match self.row_s {
+            None if self.from.is_empty() => (
+                "a clock without `from`",
+                "name its column, or give row_s, the seconds from row to row",
+            ),
+            Some(_) if !self.from.is_empty() => ("row_s with `from`", "give one of the two"),
+            Some(row_s) if !(1e-6..=1e6).contains(&row_s) => {
+                ("this row_s", "give the seconds from row to row")
+            }
+            _ => return Ok(()),
+        };
+        Err(ErrorKind::bad_value(found, advice).at(Location::file(path).column("clock")))
+    }
+}
+
+/// Value in the unit of a column: of the source times `factor`, plus `offset`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Conversion {
+    pub(super) factor: f64,
+    pub(super) offset: f64,
+}
+
+/// Temperature of 0 degrees Celsius in kelvin.
+const CELSIUS_K: f64 = 273.15;
+
+/// Conversion from `unit` to the unit of the column `to`; errors name `key`.
+pub(super) fn conversion(
+    path: &Path,
+    unit: &str,
+    to: &str,
+    key: &str,
+) -> Result<Conversion, DataError> {
+    if unit == "K" && column_unit(to) == Some("c") {
+        return Ok(Conversion { factor: 1.0, offset: -CELSIUS_K });
+    }
+    Ok(Conversion { factor: conversion_factor(path, unit, to, key)?, offset: 0.0 })
 }
 
 /// Conversion factor from `unit` to the unit of the column `to`; errors name `key`.

@@ -1,5 +1,6 @@
 //! Readers of `hall.csv` (fields in gauss, continuous angles) and `force.csv` (newtons).
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use firmware::config::constants;
@@ -7,8 +8,7 @@ use firmware::sensors::hall::a31301;
 
 use crate::recordings::align::Sample;
 use crate::recordings::columns::{
-    Axis, ChannelLayout, FieldUnit, ForceColumn, HallColumn, STATOR_CURRENTS, force_column,
-    hall_column, is_angle,
+    Axis, FieldUnit, ForceColumn, HallColumn, STATOR_CURRENTS, force_column, hall_column, is_angle,
 };
 use crate::recordings::csv_table::{
     CellRule, ClockMonitor, CsvRow, CsvTable, missing_clock, period_us,
@@ -16,6 +16,7 @@ use crate::recordings::csv_table::{
 use crate::recordings::description::{NominalDesign, RECORDING_FILE, RecordingDescription};
 use crate::recordings::error::{DataError, ErrorKind, Location, Notice};
 use crate::recordings::noise::WhiteNoise;
+use crate::recordings::units;
 
 /// Parses the header: index of `t_us`, and index and meaning of every other column.
 fn parse_header<C: PartialEq>(
@@ -36,6 +37,18 @@ fn parse_header<C: PartialEq>(
     Ok((time_column, indices, columns))
 }
 
+/// Values beyond this multiple of the range are not saturated: a saturated sensor stays at the end of its range.
+const SATURATED_WITHIN: f64 = 1.1;
+
+/// Rows of a channel at the end of its range or beyond.
+#[derive(Clone, Copy, Debug, Default)]
+struct Saturation {
+    rows: u64,
+    /// Line of the first.
+    line: u64,
+    max_gauss: f64,
+}
+
 /// Reader of `hall.csv`: scales counts, marks saturation, unwraps angles.
 pub(super) struct HallReader {
     pub(super) table: CsvTable,
@@ -49,9 +62,11 @@ pub(super) struct HallReader {
     /// Fields of at least this magnitude are saturated.
     limit_gauss: f64,
     pub(super) clock: ClockMonitor,
-    pub(super) noise: Vec<WhiteNoise>,
-    /// Saturated rows of each channel: count, line of the first.
-    saturated: Vec<(u64, u64)>,
+    noise: Vec<WhiteNoise>,
+    /// Factor of the noise of each channel ([`RecordingDescription::noise_factor`]).
+    noise_factors: Vec<f64>,
+    /// Saturated rows of each channel.
+    saturated: Vec<Saturation>,
     last_angle: Vec<Option<f64>>,
     motor: Option<MotorChannels>,
 }
@@ -115,10 +130,16 @@ impl HallReader {
         table.set_rules(time_column, vec![CellRule::Number; table.header().len()]);
         table.limit_magnitudes();
         let period_us = period_us(&mut table, time_column)?;
+        let noise_factor = |channel: usize| {
+            let index = indices.get(channel);
+            index.map_or(1.0, |&index| description.noise_factor(&table.header()[index]))
+        };
+        let noise_factors = (0..columns.len()).map(noise_factor).collect();
         Ok(Self {
             time_column,
             noise: vec![WhiteNoise::default(); columns.len()],
-            saturated: vec![(0, 0); columns.len()],
+            noise_factors,
+            saturated: vec![Saturation::default(); columns.len()],
             last_angle: vec![None; columns.len()],
             clock: ClockMonitor::new(period_us),
             motor,
@@ -154,9 +175,12 @@ impl HallReader {
         for (channel, value) in sample.iter_mut().flat_map(|s| s.values.iter_mut().enumerate()) {
             let is_field = matches!(self.columns[channel], HallColumn::Field { .. });
             if is_field && value.abs() >= self.limit_gauss {
-                let (count, line) = &mut self.saturated[channel];
-                *line = if *count == 0 { self.clock.line } else { *line };
-                *count += 1;
+                let saturated = &mut self.saturated[channel];
+                if saturated.rows == 0 {
+                    saturated.line = self.clock.line;
+                }
+                saturated.rows += 1;
+                saturated.max_gauss = saturated.max_gauss.max(value.abs());
                 *value = f64::NAN;
             }
             self.noise[channel].push(*value);
@@ -215,51 +239,68 @@ impl HallReader {
         })
     }
 
+    /// White noise of one row, each channel.
+    pub(super) fn noise(&self) -> Vec<Option<f64>> {
+        let noise = self.noise.iter().zip(&self.noise_factors);
+        noise.map(|(noise, factor)| Some(factor * noise.estimate()?)).collect()
+    }
+
+    /// A notice where the signal of a sensor is in another unit than gauss.
+    pub(super) fn unit_notice(&self) -> Option<Notice> {
+        let other = |(column, index): (&HallColumn, &usize)| match column {
+            HallColumn::Field { unit: FieldUnit::Other(suffix), .. } => Some((*suffix, *index)),
+            _ => None,
+        };
+        let (suffix, index) = self.columns.iter().zip(&self.indices).find_map(other)?;
+        let symbol = units::symbol(suffix).unwrap_or(suffix);
+        Some(Notice {
+            location: self.table.header_location(&self.table.header()[index]),
+            message: format!(
+                "the signal is in {symbol}: read {symbol} where results are in G or gauss"
+            ),
+        })
+    }
+
     pub(super) fn saturation_notices(&self) -> Vec<Notice> {
         let channels = self.saturated.iter().zip(&self.indices);
         channels
-            .filter(|((count, _), _)| *count > 0)
-            .map(|((count, line), index)| Notice {
+            .filter(|(saturated, _)| saturated.rows > 0)
+            .map(|(Saturation { rows, line, max_gauss }, index)| Notice {
                 location: self.table.cell_location(*line, *index),
-                message: format!(
-                    "saturated in {count} rows, first here; dependent rows were excluded: widen the gap or reduce the load"
-                ),
+                message: if *max_gauss <= SATURATED_WITHIN * self.limit_gauss {
+                    format!("saturated in {rows} rows, first here; dependent rows were excluded: widen the gap or reduce the load")
+                } else {
+                    format!(
+                        "beyond the sensor's range of ±{} G in {rows} rows, first here, up to {max_gauss} G: no saturation, which ends at \
+                         the range; these rows were excluded: check range_gauss, the unit, and whether the counts wrap",
+                        self.limit_gauss
+                    )
+                },
             })
             .collect()
     }
 }
 
-/// Every sensor needs each axis exactly once, all in one unit.
+/// Every sensor needs one axis at least, none twice, and all in one unit.
 fn check_fields(table: &CsvTable, columns: &[HallColumn]) -> Result<(), DataError> {
-    let layout = ChannelLayout { hall: columns.to_vec(), forces: Vec::new() };
-    let sensors = layout.sensors();
-    if sensors.is_empty() {
-        return Err(ErrorKind::NoField.at(Location::file(table.path()).line(1)));
-    }
-    for sensor in sensors {
-        let of_sensor = |column: &&HallColumn| matches!(column, HallColumn::Field { sensor: s, .. } if *s == sensor);
-        let fields: Vec<_> = columns.iter().filter(of_sensor).collect();
-        let unit = match fields.first() {
-            Some(HallColumn::Field { unit: FieldUnit::Gauss, .. }) => "gauss",
-            _ => "lsb",
+    let mut first: BTreeMap<u32, FieldUnit> = BTreeMap::new();
+    let mut known: Vec<(u32, Axis)> = Vec::new();
+    for column in columns {
+        let HallColumn::Field { sensor, axis, unit } = column else { continue };
+        let own = *first.entry(*sensor).or_insert(*unit);
+        let advice = if known.contains(&(*sensor, *axis)) {
+            format!("sensor {sensor} has this axis in two units: keep one of the two columns")
+        } else if own != *unit {
+            format!("sensor {sensor} needs all its axes in one unit: convert the others")
+        } else {
+            known.push((*sensor, *axis));
+            continue;
         };
-        for axis in Axis::ALL {
-            let name = format!("s{sensor}_{}_{unit}", axis.letter());
-            let count = fields
-                .iter()
-                .filter(|c| matches!(c, HallColumn::Field { axis: a, .. } if *a == axis))
-                .count();
-            let advice = match count {
-                1 => continue,
-                0 => format!(
-                    "sensor {sensor} needs all three axes in one unit: add it, or remove its other columns"
-                ),
-                _ => format!(
-                    "sensor {sensor} has this axis both as raw counts and converted: keep one of the two"
-                ),
-            };
-            return Err(ErrorKind::MissingColumn { advice }.at(table.header_location(&name)));
-        }
+        let name = format!("s{sensor}_{}_{}", axis.letter(), own.suffix());
+        return Err(ErrorKind::MissingColumn { advice }.at(table.header_location(&name)));
+    }
+    if known.is_empty() {
+        return Err(ErrorKind::NoField.at(Location::file(table.path()).line(1)));
     }
     Ok(())
 }
@@ -273,11 +314,16 @@ pub(super) struct ForceReader {
     pub(super) columns: Vec<ForceColumn>,
     pub(super) period_us: f64,
     pub(super) clock: ClockMonitor,
-    pub(super) noise: Vec<WhiteNoise>,
+    noise: Vec<WhiteNoise>,
+    /// As those of [`HallReader`].
+    noise_factors: Vec<f64>,
 }
 
 impl ForceReader {
-    pub(super) fn open(mut table: CsvTable) -> Result<Self, DataError> {
+    pub(super) fn open(
+        mut table: CsvTable,
+        description: &RecordingDescription,
+    ) -> Result<Self, DataError> {
         let (time_column, indices, columns) =
             parse_header(&table, ForceColumn::Time, force_column)?;
         let mut rules = vec![CellRule::Optional; table.header().len()];
@@ -288,12 +334,22 @@ impl ForceReader {
         Ok(Self {
             time_column,
             noise: vec![WhiteNoise::default(); columns.len()],
+            noise_factors: indices
+                .iter()
+                .map(|&index| description.noise_factor(&table.header()[index]))
+                .collect(),
             clock: ClockMonitor::new(period_us),
             table,
             indices,
             columns,
             period_us,
         })
+    }
+
+    /// White noise of one row in newtons, each force.
+    pub(super) fn noise(&self) -> Vec<Option<f64>> {
+        let noise = self.noise.iter().zip(&self.noise_factors);
+        noise.map(|(noise, factor)| Some(factor * noise.estimate()?)).collect()
     }
 
     pub(super) fn next_row(&mut self) -> Result<Option<CsvRow>, DataError> {

@@ -9,7 +9,6 @@ use crate::recordings::columns::ChannelLayout;
 use crate::recordings::csv_table::{CsvRow, CsvTable, GAP_STEPS};
 use crate::recordings::description::RecordingDescription;
 use crate::recordings::error::{DataError, ErrorKind, Location, Notice};
-use crate::recordings::noise::WhiteNoise;
 use crate::recordings::readers::{ForceReader, HallReader};
 
 /// One row on the reference clock.
@@ -183,6 +182,7 @@ impl AlignedStream {
         }
         notices.extend(self.hall.saturation_notices());
         notices.extend(self.hall.rate_notice());
+        notices.extend(self.hall.unit_notice());
         if self.too_close > 0 {
             notices.push(Notice {
                 location: Location::file(self.force.table.path()),
@@ -193,8 +193,8 @@ impl AlignedStream {
             });
         }
         StreamSummary {
-            hall_noise: self.hall.noise.iter().map(WhiteNoise::estimate).collect(),
-            force_noise: self.force.noise.iter().map(WhiteNoise::estimate).collect(),
+            hall_noise: self.hall.noise(),
+            force_noise: self.force.noise(),
             hall_rows: self.hall.clock.rows,
             force_rows: self.force.clock.rows,
             notices,
@@ -207,7 +207,7 @@ fn open_readers(
     description: &RecordingDescription,
 ) -> Result<(HallReader, ForceReader, ChannelLayout), DataError> {
     let hall = HallReader::open(CsvTable::open(folder, "hall.csv")?, description, folder)?;
-    let force = ForceReader::open(CsvTable::open(folder, "force.csv")?)?;
+    let force = ForceReader::open(CsvTable::open(folder, "force.csv")?, description)?;
     let layout = ChannelLayout { hall: hall.columns.clone(), forces: force.columns.clone() };
     Ok((hall, force, layout))
 }
@@ -283,7 +283,7 @@ impl RawStream {
 
     /// White noise of one reference row in newtons, each force, from the rows read so far.
     pub fn force_noise(&self) -> Vec<Option<f64>> {
-        self.force.noise.iter().map(WhiteNoise::estimate).collect()
+        self.force.noise()
     }
 
     /// True if the last row is the first at or after a reference row: selects one board row for each

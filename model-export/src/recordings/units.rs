@@ -45,17 +45,39 @@ pub const UNITS: &[Unit] = &[
     unit("um", "mm", 1e-3),
     unit("m", "mm", 1e3),
     unit("degC", "c", 1.0),
+    unit("K", "k", 1.0),
     unit("A", "a", 1.0),
     unit("mA", "a", 1e-3),
+    unit("V", "v", 1.0),
+    unit("mV", "v", 1e-3),
+    unit("uV", "v", 1e-6),
+    unit("W", "w", 1.0),
+    unit("mW", "w", 1e-3),
+    unit("N m", "nm", 1.0),
+    unit("Nm", "nm", 1.0),
+    unit("N mm", "nm", 1e-3),
+    unit("Nmm", "nm", 1e-3),
     unit("rad", "rad", 1.0),
     unit("deg", "rad", std::f64::consts::PI / 180.0),
+    unit("rad/s", "radps", 1.0),
+    unit("deg/s", "radps", std::f64::consts::PI / 180.0),
     unit("m/s2", "mps2", 1.0),
     unit("g0", "mps2", STANDARD_GRAVITY),
+    unit("Hz", "hz", 1.0),
+    unit("kHz", "hz", 1e3),
+    unit("%", "percent", 1.0),
+    unit("1", "ratio", 1.0),
 ];
 
 /// The unit with this symbol; case-sensitive, since `mT` and `MT` differ.
 pub fn find_unit(name: &str) -> Option<Unit> {
     UNITS.iter().copied().find(|unit| unit.name == name)
+}
+
+/// Symbol of the unit that columns with this suffix are in, for example `V` for `v`.
+pub fn symbol(canonical: &str) -> Option<&'static str> {
+    let unit = UNITS.iter().find(|unit| unit.canonical == canonical && unit.factor == 1.0);
+    unit.map(|unit| unit.name)
 }
 
 /// Unit suffixes of column names, sorted.
@@ -88,7 +110,13 @@ mod tests {
 
     #[test]
     fn units_convert_to_their_canonical_unit() {
-        for (name, factor, canonical) in [("uT", 0.01, "gauss"), ("kg", 9.806_65, "n")] {
+        for (name, factor, canonical) in [
+            ("uT", 0.01, "gauss"),
+            ("kg", 9.806_65, "n"),
+            ("mV", 1e-3, "v"),
+            ("N mm", 1e-3, "nm"),
+            ("%", 1.0, "percent"),
+        ] {
             let unit = find_unit(name).unwrap();
             assert_eq!((unit.factor, unit.canonical), (factor, canonical), "{name}");
         }

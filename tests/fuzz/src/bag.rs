@@ -70,10 +70,12 @@ pub fn read(bytes: &[u8]) -> Tally {
         })
         .collect();
     tally.numbers = names.len() as u32;
-    let columns: Vec<&str> = names.iter().map(String::as_str).collect();
-    for join in [Join::Nearest, Join::Once] {
-        let Some(clock) = columns.first() else { break };
-        let text = join_topics(&path, &topics, clock, &columns, join).expect("its own columns");
+    let columns: Vec<(&str, Option<f64>)> =
+        names.iter().map(|name| (name.as_str(), None)).collect();
+    for join in [Join::EveryRow, Join::Once] {
+        let Some((clock, _)) = columns.first() else { break };
+        let text =
+            join_topics(&path, &topics, clock, &columns, join).expect("its own columns").text;
         let rows = topics[0].messages();
         assert_eq!(text.split(|byte| *byte == b'\n').count(), rows + 2);
         tally.joined += columns.len() as u32;

@@ -60,7 +60,7 @@ impl ScannedCampaign {
     /// # Errors
     /// There are no recordings, or one cannot be read.
     pub fn open(folder: &Path, alignment: Alignment, caching: Caching) -> Result<Self> {
-        let findings = scan_with_progress(folder)?;
+        let findings = scan_with_progress(folder, alignment)?;
         let stops = findings.iter().any(|finding| finding.stops);
         let open = || CampaignReader::open(folder, alignment, caching);
         let reader = if stops { None } else { Some(open()?) };
@@ -78,9 +78,9 @@ impl ScannedCampaign {
 ///
 /// # Errors
 /// The folder holds no recordings.
-pub fn scan_with_progress(folder: &Path) -> Result<Vec<Finding>> {
+pub fn scan_with_progress(folder: &Path, alignment: Alignment) -> Result<Vec<Finding>> {
     let bar = progress::progress_bar("checking recordings", recording_folders(folder)?.len());
-    let findings = scan_files(folder, |_| bar.inc(1))?;
+    let findings = scan_files(folder, alignment, |_| bar.inc(1))?;
     bar.finish_and_clear();
     Ok(findings)
 }

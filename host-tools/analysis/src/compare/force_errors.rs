@@ -281,7 +281,7 @@ fn build_tables(plan: &CvPlan, path: &Path) -> Result<FoldTables> {
                 Ok(Err(MissingForces::NotCompensable(why.clone())))
             }
             Some(BuildError::TableOverflow { overflow, .. }) => {
-                Ok(Err(MissingForces::NoTables(overflow.to_string())))
+                Ok(Err(MissingForces::NotRepresentable(overflow.to_string())))
             }
             _ => Err(error),
         },

@@ -236,8 +236,8 @@ pub enum MissingForces {
     NotInvertible(NotInvertible),
     /// The device cannot compensate an effect, for this reason.
     NotCompensable(NotCompensable),
-    /// The device's tables cannot hold the inverse, for this reason.
-    NoTables(String),
+    /// The device's tables cannot represent them.
+    NotRepresentable(String),
     /// No row has both a valid estimate and the reference forces.
     NoValidRow,
 }

@@ -57,6 +57,30 @@ pub enum Evidence {
         /// Duration of the first of these recordings in seconds.
         duration_s: f64,
     },
+    /// Recordings at the same time.
+    Overlap {
+        /// The first pair.
+        recordings: [String; 2],
+        /// How long the second begins before the end of the first, in seconds.
+        by_s: f64,
+        /// Number of pairs.
+        pairs: usize,
+    },
+    /// Counts wrapped: the values are lower or higher by the range of an integer.
+    Wrapped {
+        /// The columns.
+        columns: ColumnSet,
+        /// Column with the most of these rows.
+        worst: String,
+        /// Number of its rows.
+        rows: u64,
+        /// Its number of rows in all.
+        of: u64,
+        /// Number of counts.
+        counts: f64,
+        /// To be added, in the unit of the column.
+        offset: f64,
+    },
     /// Timestamp steps far above the sampling period.
     ClockGaps {
         /// Number of gaps.
@@ -229,8 +253,17 @@ pub enum Evidence {
         /// True for the unit, false for order or sign of the columns.
         is_unit: bool,
     },
-    /// Constant offset between the two clocks.
-    ClockOffset {
+    /// Clocks of the reference that differ from the board's.
+    ClockOffsets {
+        /// The recordings.
+        offsets: Vec<ClockOffset>,
+        /// Minimum fraction of the error above the noise that aligning them removes.
+        share: f64,
+        /// Delay of the reference, in milliseconds, that aligns all recordings; `None` where they differ.
+        delay_ms: Option<f64>,
+    },
+    /// Constant offset between the two clocks, as a model shows it.
+    ClockLag {
         /// Delay of the field after the force in milliseconds.
         lag_ms: f64,
         /// Recordings with this offset.
@@ -242,6 +275,21 @@ pub enum Evidence {
         /// Delay of the reference, in milliseconds, that corrects the offset.
         delay_ms: f64,
     },
+}
+
+/// Offset and rate of the reference's clock in one recording.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ClockOffset {
+    /// Name of the recording.
+    pub recording: String,
+    /// To be added to the reference's time zero, in milliseconds.
+    pub offset_ms: f64,
+    /// Standard error of the offset.
+    pub offset_error_ms: f64,
+    /// To be added to the rate of the reference's clock, in parts per million; zero where it is not significant.
+    pub rate_ppm: f64,
+    /// Standard error of the rate; NaN where it was not estimated.
+    pub rate_error_ppm: f64,
 }
 
 /// Some recordings of a campaign.

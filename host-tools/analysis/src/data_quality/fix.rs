@@ -46,6 +46,10 @@ pub enum FixKind {
     NegateColumns,
     /// Restores the order of the columns.
     ReorderColumns,
+    /// Moves the reference's times to the board's clock.
+    AlignClock,
+    /// Adds to values whose counts wrapped.
+    Unwrap,
 }
 
 /// One change of one table.
@@ -71,6 +75,15 @@ pub enum Change {
         /// Expected unit per found unit.
         factor: f64,
         /// In the expected unit.
+        offset: f64,
+    },
+    /// Add `offset` to the values below `threshold`, or above it where `offset` is negative.
+    Unwrap {
+        /// Column to correct.
+        column: String,
+        /// In the unit of the column.
+        threshold: f64,
+        /// In the unit of the column.
         offset: f64,
     },
     /// Copy a column from another (or itself), negated where `negate`.
@@ -99,6 +112,10 @@ impl fmt::Display for Change {
                     0.0 => Ok(()),
                     offset => write!(f, " shifted by {offset}"),
                 }
+            }
+            Self::Unwrap { column, threshold, offset } => {
+                let side = if *offset > 0.0 { "below" } else { "above" };
+                write!(f, "{offset} was added to the values of {column} {side} {threshold}")
             }
             Self::Take { to, from, negate } => match (to == from, negate) {
                 (true, _) => write!(f, "{to} was negated"),
@@ -271,6 +288,8 @@ struct Source {
     column: usize,
     negate: bool,
     convert: Option<(f64, f64)>,
+    /// Threshold and offset.
+    unwrap: Option<(f64, f64)>,
 }
 
 impl Cells {
@@ -280,7 +299,7 @@ impl Cells {
             place.with_context(|| format!("there is no column {wanted}"))
         };
         let mut sources: Vec<Source> = (0..names.len())
-            .map(|column| Source { column, negate: false, convert: None })
+            .map(|column| Source { column, negate: false, convert: None, unwrap: None })
             .collect();
         for change in changes {
             match change {
@@ -290,6 +309,9 @@ impl Cells {
                 }
                 Change::Convert { column, factor, offset } => {
                     sources[find(column)?].convert = Some((*factor, *offset))
+                }
+                Change::Unwrap { column, threshold, offset } => {
+                    sources[find(column)?].unwrap = Some((*threshold, *offset));
                 }
                 Change::DropCopies | Change::SortRows => {}
             }
@@ -308,6 +330,10 @@ impl Cells {
                 return bytes.to_vec();
             };
             let signed = if source.negate { negate(text) } else { text.to_owned() };
+            let signed = match source.unwrap.and_then(|unwrap| unwrapped(&signed, unwrap)) {
+                Some(unwrapped) => unwrapped,
+                None => signed,
+            };
             let converted =
                 source.convert.and_then(|(factor, offset)| convert(&signed, factor, offset));
             converted.unwrap_or(signed).into_bytes()
@@ -389,6 +415,13 @@ fn convert(text: &str, factor: f64, offset: f64) -> Option<String> {
     let decimals = if offset == 0.0 { decimals } else { decimals.max(of_offset) };
     let written = format!("{:.*}", decimals as usize, value * factor + offset);
     Some(written)
+}
+
+/// The number plus the offset, if it is on the wrong side of the threshold.
+fn unwrapped(text: &str, (threshold, offset): (f64, f64)) -> Option<String> {
+    let value: f64 = text.trim().parse().ok()?;
+    let is_wrong = if offset > 0.0 { value < threshold } else { value > threshold };
+    is_wrong.then(|| convert(text, 1.0, offset)).flatten()
 }
 
 /// The number with the opposite sign, as text.

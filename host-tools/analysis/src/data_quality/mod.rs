@@ -25,7 +25,7 @@ use model_export::recordings::{Campaign, Location};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use crate::data_quality::checks::{CheckContext, Found, clock, columns, lines};
+use crate::data_quality::checks::{CheckContext, Found, clock, columns, lines, wraps};
 use crate::data_quality::evidence::Evidence;
 use crate::data_quality::fix::Fix;
 use crate::data_quality::model_checks::column_findings::column_errors;
@@ -63,7 +63,7 @@ struct Check {
 }
 
 /// All checks, most severe first: a check skips the columns that an earlier one explains.
-const CHECKS: [Check; 18] = {
+const CHECKS: [Check; 21] = {
     const fn files(
         id: &'static str,
         check: for<'a> fn(&CheckContext<'a>) -> Vec<Found<'a>>,
@@ -82,7 +82,9 @@ const CHECKS: [Check; 18] = {
         columns("force_swapped"),
         columns("force_flipped"),
         files("stuck_channel", columns::stuck_channels),
+        files("wrapped", wraps::wrapped),
         files("saturated", columns::saturation),
+        Check { id: CLOCK_OFFSET, in_files: None, against_model: None },
         Check {
             id: "clock_skew",
             in_files: None,
@@ -90,6 +92,7 @@ const CHECKS: [Check; 18] = {
         },
         files("clock_unit", clock::units),
         files("clock_gap", clock::gaps),
+        files("recordings_overlap", clock::overlaps),
         files("coarse_steps", columns::coarse_steps),
         files("repeated_samples", clock::repeated_samples),
         files("outlier", columns::outliers),
@@ -98,6 +101,9 @@ const CHECKS: [Check; 18] = {
         files("constant_covariate", columns::constant_covariates),
     ]
 };
+
+/// Offset and rate of clocks, found without a model.
+const CLOCK_OFFSET: &str = "clock_offset";
 
 /// Merges findings from the files and from the model checks and removes consequences of the same cause.
 pub fn merge(files: Vec<Finding>, model_checks: Vec<Finding>) -> Vec<Finding> {
@@ -114,7 +120,11 @@ pub fn merge(files: Vec<Finding>, model_checks: Vec<Finding>) -> Vec<Finding> {
         })
         .cloned()
         .collect();
-    all.extend(model_checks);
+    // A model that was fitted to misaligned recordings shows the rest of their offsets only.
+    let is_misaligned = files.iter().any(|finding| finding.id == CLOCK_OFFSET);
+    all.extend(
+        model_checks.into_iter().filter(|finding| !(is_misaligned && finding.id == "clock_skew")),
+    );
     all.sort_by_key(|finding| match finding.id {
         // Repeated samples delay the field, which looks like a clock offset.
         "repeated_samples" => (rank("clock_skew"), 0),
@@ -134,7 +144,11 @@ fn rank(id: &str) -> usize {
 ///
 /// # Errors
 /// The folder holds no recordings.
-pub fn scan_files(folder: &Path, read: impl Fn(&str) + Sync) -> Result<Vec<Finding>> {
+pub fn scan_files(
+    folder: &Path,
+    alignment: Alignment,
+    read: impl Fn(&str) + Sync,
+) -> Result<Vec<Finding>> {
     let folders = recording_folders(folder)?;
     let recordings: Vec<RecordingScan> = folders
         .par_iter()
@@ -146,7 +160,13 @@ pub fn scan_files(folder: &Path, read: impl Fn(&str) + Sync) -> Result<Vec<Findi
         .collect();
     let mut context = CheckContext::new(&recordings);
     for Check { id, in_files, .. } in CHECKS {
-        let found = in_files.map_or_else(Vec::new, |check| check(&context));
+        let found = match in_files {
+            Some(check) => check(&context),
+            None if id == CLOCK_OFFSET => {
+                checks::alignment::offsets(&context, 1e-6 * alignment.delay_us)
+            }
+            None => Vec::new(),
+        };
         context.add(id, found);
     }
     Ok(context.into_findings())

@@ -1,7 +1,7 @@
 //! Candidate effects: which of them the recordings can test, and their screening by a score test with a wild
 //! bootstrap.
 
-use crate::diagnose::Reason;
+use crate::diagnose::{AssumedTimes, Reason};
 use crate::statistics::mean_and_std;
 use model_export::effects::excitation::{BUILT_IN_COVARIATES, OPENING_RATE, source_column};
 use model_export::effects::{CATALOGUE, EffectTerm};
@@ -75,17 +75,42 @@ fn obstacle(
     if candidate.depends_on_order() && campaign.recordings.iter().any(is_shuffled) {
         return Some(Reason::NoTimeOrder);
     }
+    if let Some(times) = assumed_times(candidate, campaign) {
+        return Some(Reason::AssumedTimes(times));
+    }
     for column in candidate.needs() {
         let columns = campaign.recordings.iter().map(|recording| values(recording, &column));
         let columns: Vec<Vec<f64>> = columns.collect();
-        if columns.iter().any(Vec::is_empty) {
-            return Some(Reason::NotRecorded(column));
+        let pairs = campaign.recordings.iter().zip(&columns);
+        let without = pairs.filter(|(_, column)| column.is_empty());
+        let without: Vec<String> = without.map(|(recording, _)| recording.name.clone()).collect();
+        if !without.is_empty() {
+            let is_nowhere = without.len() == campaign.recordings.len();
+            return Some(Reason::NotRecorded(
+                column,
+                if is_nowhere { Vec::new() } else { without },
+            ));
         }
         if !varies(&columns) && !moves_field(campaign, &column) {
             return Some(Reason::DoesNotVary(column));
         }
     }
     None
+}
+
+/// Times on which a candidate depends and which are assumed. The first recording may start at any time.
+fn assumed_times(candidate: &EffectTerm, campaign: &Campaign) -> Option<AssumedTimes> {
+    if candidate.depends_on_time() && is_clock_assumed(campaign) {
+        return Some(AssumedTimes::Rows);
+    }
+    let mut later = campaign.recordings.iter().skip(1);
+    let is_assumed = later.any(|recording| recording.description.is_start_assumed());
+    (candidate.depends_on_start() && is_assumed).then_some(AssumedTimes::Starts)
+}
+
+/// Whether the times of the rows are unknown in a recording.
+fn is_clock_assumed(campaign: &Campaign) -> bool {
+    campaign.recordings.iter().any(|recording| recording.description.is_clock_assumed())
 }
 
 /// Values of a column over a recording, concatenated over sensors; empty where it was not recorded. Forces and
@@ -116,9 +141,12 @@ pub fn varying_covariates(campaign: &Campaign, axes: [bool; 2]) -> Vec<String> {
         .filter(|name| match *name {
             "time_s" | "fx_rate_n_per_s" | "fz_rate_n_per_s" | OPENING_RATE if is_shuffled => false,
             // The load varies, else it could not be fitted.
-            "fx_n" | "fx_rate_n_per_s" => axes[0],
-            "fz_n" | "fz_rate_n_per_s" => axes[1],
+            "fx_n" => axes[0],
+            "fz_n" => axes[1],
+            "fx_rate_n_per_s" => axes[0] && !is_clock_assumed(campaign),
+            "fz_rate_n_per_s" => axes[1] && !is_clock_assumed(campaign),
             "session_s" => false,
+            "time_s" if is_clock_assumed(campaign) => false,
             name => {
                 let name = source_column(name);
                 let columns = campaign.recordings.iter().map(|recording| values(recording, name));

@@ -181,14 +181,48 @@ pub enum Reason {
     InPolynomial,
     /// It acts through a force, and none was recorded.
     NeedsForce,
-    /// A column was not recorded.
-    NotRecorded(String),
+    /// A column was not recorded in these recordings; none listed: in no recording.
+    NotRecorded(String, Vec<String>),
+    /// It depends on times that are assumed.
+    AssumedTimes(AssumedTimes),
     /// A column does not vary beyond its noise.
     DoesNotVary(String),
     /// The order of the rows carries no time.
     NoTimeOrder,
     /// The base model cannot be fitted, with the error.
     Unfitted(String),
+}
+
+impl Reason {
+    /// What the recordings lack for a test, as a sentence; `None` for other reasons.
+    pub fn missing_data(&self) -> Option<String> {
+        Some(match self {
+            Self::NotRecorded(column, recordings) => match recordings.as_slice() {
+                [] => format!("{column} was not recorded"),
+                [one] => format!("{column} was not recorded in recording {one}"),
+                many => format!("{column} was not recorded in recordings {}", many.join(", ")),
+            },
+            Self::DoesNotVary(column) => format!("{column} does not vary"),
+            Self::AssumedTimes(AssumedTimes::Starts) => {
+                "the times between the recordings are assumed (state start_s and start = \"stated\" in each recording.toml, or in the \
+                 mapping starts_s = [...] or one_clock = true)"
+                    .to_owned()
+            }
+            Self::AssumedTimes(AssumedTimes::Rows) => {
+                "the times of the rows are assumed (import with a clock)".to_owned()
+            }
+            _ => return None,
+        })
+    }
+}
+
+/// Times that are not known.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum AssumedTimes {
+    /// Of the recordings' starts.
+    Starts,
+    /// Of the rows.
+    Rows,
 }
 
 /// The verdict on one effect.

@@ -124,7 +124,7 @@ fn of_step(
         p_adjusted: step.p_adjusted,
         value: f64::NAN,
         std_error: f64::NAN,
-        unit: effect.size().unit.to_owned(),
+        unit: effect.size_unit().into_owned(),
         z_typical: step.z_typical,
         implausible: None,
         reason: Reason::ReducesError,
@@ -142,7 +142,7 @@ fn of_step(
             && let Some(size) = size
         {
             (verdict.value, verdict.std_error) = (size.value, size.std_error);
-            verdict.unit = size.size.unit.to_owned();
+            verdict.unit = size.unit.to_string();
             verdict.implausible = (!size.is_plausible()).then_some(size.size.plausible);
         }
         verdicts.push(verdict);
@@ -220,7 +220,7 @@ fn of_rest(
         p_adjusted: screened.p_adjusted,
         value: f64::NAN,
         std_error: f64::NAN,
-        unit: effect.size().unit.to_owned(),
+        unit: effect.size_unit().into_owned(),
         z_typical: evidence.z_typical,
         implausible: None,
         reason,

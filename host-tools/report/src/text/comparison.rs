@@ -418,7 +418,9 @@ pub fn missing_forces(why: &MissingForces) -> String {
     match why {
         MissingForces::NotInvertible(why) => why.to_string(),
         MissingForces::NotCompensable(why) => why.to_string(),
-        MissingForces::NoTables(why) => format!("the tables cannot be built: {why}"),
+        MissingForces::NotRepresentable(why) => {
+            format!("the device's tables cannot hold them: {why}")
+        }
         MissingForces::NoValidRow => {
             "no row has both a valid estimate and the reference forces".to_owned()
         }

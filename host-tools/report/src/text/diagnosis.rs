@@ -68,11 +68,7 @@ pub fn format_summary(diagnosis: &Diagnosis) -> String {
 pub fn missing_columns(diagnosis: &Diagnosis) -> String {
     let mut columns: Vec<(String, Vec<&str>)> = Vec::new();
     for verdict in &diagnosis.verdicts {
-        let what = match &verdict.reason {
-            Reason::NotRecorded(column) => format!("{column} was not recorded"),
-            Reason::DoesNotVary(column) => format!("{column} does not vary"),
-            _ => continue,
-        };
+        let Some(what) = verdict.reason.missing_data() else { continue };
         match columns.iter_mut().find(|(own, _)| *own == what) {
             Some((_, effects)) => effects.push(&verdict.effect),
             None => columns.push((what, vec![&verdict.effect])),
@@ -788,9 +784,11 @@ pub fn reason(verdict: &Verdict) -> String {
             "it depends on the forces alone, and the polynomial of the forces contains it".to_owned()
         }
         Reason::NeedsForce => "it acts through a force, and no force was recorded".to_owned(),
-        Reason::NotRecorded(column) => format!("{column} was not recorded"),
         Reason::DoesNotVary(column) => format!("{column} does not vary beyond its noise"),
         Reason::NoTimeOrder => "the order of the rows carries no time".to_owned(),
+        missing @ (Reason::NotRecorded(..) | Reason::AssumedTimes(_)) => {
+            missing.missing_data().unwrap_or_default()
+        }
         Reason::Unfitted(error) => format!("the base model cannot be fitted: {error}"),
     };
     if let Some((low, high)) = verdict.implausible {
@@ -834,8 +832,9 @@ pub fn short_reason(verdict: &Verdict) -> String {
                 (rule, false) => rule.unwrap_or("not significant").to_owned(),
             }
         }
-        Reason::NotRecorded(column) => format!("no {column}"),
         Reason::NoTimeOrder => "rows without time".to_owned(),
+        Reason::NotRecorded(column, _) => format!("no {column}"),
+        Reason::AssumedTimes(_) => "times are assumed".to_owned(),
         Reason::NeedsGeometry
         | Reason::InPolynomial
         | Reason::NeedsForce
@@ -1075,7 +1074,7 @@ mod tests {
             z_typical,
             ..verdict_of(effect, VerdictKind::Inconclusive, Reason::Masked)
         };
-        let unrecorded = Reason::NotRecorded("temp_c".to_owned());
+        let unrecorded = Reason::NotRecorded("temp_c".to_owned(), Vec::new());
         let diagnosis = Diagnosis {
             verdicts: vec![
                 masked("tip_slope", 1.0),
@@ -1121,7 +1120,7 @@ mod tests {
         ];
         let mut verdicts = vec![blocked("external_magnet", 0.13)];
         verdicts.extend(names.iter().map(|name| blocked(name, 0.001)));
-        let missing = Reason::NotRecorded("opening_mm".to_owned());
+        let missing = Reason::NotRecorded("opening_mm".to_owned(), Vec::new());
         verdicts.push(verdict_of("neighbour_magnet", VerdictKind::Inconclusive, missing));
         let step =
             StaircaseStep { added: Vec::new(), held_out_rms_g: 0.7, force: None, floor_g: 0.16 };

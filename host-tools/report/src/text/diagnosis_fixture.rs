@@ -108,7 +108,7 @@ pub fn full() -> Diagnosis {
             verdict_of(
                 "earth_field",
                 VerdictKind::Inconclusive,
-                Reason::NotRecorded("roll_rad".to_owned()),
+                Reason::NotRecorded("roll_rad".to_owned(), Vec::new()),
             ),
             verdict_of("thermal_gap", VerdictKind::Inconclusive, Reason::NeedsGeometry),
             verdict_of("motor_leakage", VerdictKind::Absent, Reason::BelowBound(0.08)),

@@ -72,7 +72,7 @@ fn effect_table(edit: &ModelEdit) -> String {
         table.add_row([
             effect.name.clone(),
             numbers::with_error(size.value, size.std_error, scale),
-            size.size.unit.to_owned(),
+            size.unit.to_string(),
             effect.quantity.clone(),
             number(size.size.typical),
             if low.is_finite() {
@@ -88,7 +88,7 @@ fn effect_table(edit: &ModelEdit) -> String {
     let notes = uncertain.map(|(effect, size)| {
         terminal::paragraph(&format!(
             "{}: with {} {} of systematic uncertainty, which its parameters below are without.",
-            effect.name, size.size.resolution, size.size.unit
+            effect.name, size.size.resolution, size.unit
         ))
     });
     format!(

@@ -2,7 +2,7 @@
 
 use analysis::data_quality::Finding;
 use analysis::data_quality::evidence::{
-    ColumnError, ColumnSet, Evidence, LineSource, Magnitude, RecordingSet,
+    ClockOffset, ColumnError, ColumnSet, Evidence, LineSource, Magnitude, RecordingSet,
 };
 use analysis::data_quality::fix::{Fix, FixKind};
 use analysis::numbers::{decimal, field};
@@ -74,6 +74,20 @@ pub fn message(finding: &Finding) -> String {
                 digits(*duration_s),
             )
         }
+        Evidence::Overlap { recordings: [first, second], by_s, pairs } => format!(
+            "recording {second} begins {} s before recording {first} ends{}: one gripper has one recording at a time; correct start_s, or remove copies and parts of one recording: they are no independent recordings",
+            digits(*by_s),
+            match pairs {
+                1 => String::new(),
+                more => format!(", the first of {more} overlaps"),
+            }
+        ),
+        Evidence::Wrapped { columns, worst, rows, of, counts, offset } => format!(
+            "{} wrapped by {counts} counts: {rows} of {of} values of {worst} are off by {}, the range of an integer, which is no saturation; add {} to them, and correct the driver (two's complement)",
+            columns_in(columns),
+            digits(offset.abs()),
+            digits(*offset),
+        ),
         Evidence::ClockGaps { gaps, recordings, lost, from_s, longest_ms, period_ms } => format!(
             "{} in the clock {}, {} of the total time; the longest here, from {} s on: {} ms where rows are {} ms apart. Rows next to a gap are excluded; look for lost transfers or a blocked logger",
             counted(*gaps, "1 gap", "gaps"),
@@ -235,7 +249,10 @@ pub fn message(finding: &Finding) -> String {
                 column_advice(alternatives, finding.fix.is_some(), *is_unit),
             )
         }
-        Evidence::ClockOffset { lag_ms, recordings, sensors, share, delay_ms } => {
+        Evidence::ClockOffsets { offsets, share, delay_ms } => {
+            clock_offsets(offsets, *share, *delay_ms, finding.fix.is_some())
+        }
+        Evidence::ClockLag { lag_ms, recordings, sensors, share, delay_ms } => {
             let (direction, cause) = if *lag_ms > 0.0 {
                 (
                     "behind",
@@ -282,8 +299,50 @@ pub fn fix(fix: &Fix) -> String {
         FixKind::ConvertUnit(from, to) => format!("converts from {from} to {to}"),
         FixKind::ConvertColumns => "converts the columns".to_owned(),
         FixKind::NegateColumns => "negates the columns".to_owned(),
+        FixKind::AlignClock => "moves the reference's times to the board's clock".to_owned(),
+        FixKind::Unwrap => "adds the range of the counts to the values that wrapped".to_owned(),
         FixKind::ReorderColumns => "restores the order of the columns".to_owned(),
     }
+}
+
+/// Offsets and rates, what aligning them removes, and how to apply them.
+fn clock_offsets(
+    offsets: &[ClockOffset],
+    share: f64,
+    delay_ms: Option<f64>,
+    is_fixed: bool,
+) -> String {
+    let one = |offset: &ClockOffset| {
+        let mut text = format!("{:+.1}±{:.1} ms", offset.offset_ms, offset.offset_error_ms);
+        if offset.rate_ppm != 0.0 {
+            text += &format!(" and {:+.0}±{:.0} ppm", offset.rate_ppm, offset.rate_error_ppm);
+        }
+        text
+    };
+    let (what, remedy) = match delay_ms {
+        Some(delay_ms) => {
+            let error_ms =
+                1.0 / offsets.iter().map(|of| of.offset_error_ms.powi(-2)).sum::<f64>().sqrt();
+            let remedy = format!("read the recordings with --delay-ms {delay_ms:.1}");
+            (format!("{delay_ms:+.1}±{error_ms:.1} ms in every recording"), remedy)
+        }
+        None => {
+            let each =
+                offsets.iter().map(|of| format!("{} in recording {}", one(of), of.recording));
+            (list(each), "apply them to t_us of force.csv".to_owned())
+        }
+    };
+    let remedy = match (is_fixed, delay_ms) {
+        (true, Some(_)) => format!("--fix NEW applies it to a copy; or {remedy}"),
+        (true, None) => "--fix NEW applies them to a copy".to_owned(),
+        (false, _) => format!(
+            "a viscous lag of the flexures or a filter of the reference looks the same: `diagnose` compares them; if the clocks are the cause, {remedy}"
+        ),
+    };
+    format!(
+        "the clock of the reference differs from the board's; to be added to its times: {what}. The loads show it without a model; aligning them removes {} of the error above the noise. Friction and creep shift this estimate: `diagnose` tests what is left. {remedy}",
+        percent(share),
+    )
 }
 
 fn duplicate_rows(identical: u64, different: u64) -> String {

@@ -1,8 +1,10 @@
 //! Setup errors that the files alone reveal: each, injected into a copy of a clean campaign, must be the first
 //! finding under its own identifier.
 
+use model_export::recordings::align::Alignment;
 use std::f64::consts::TAU;
 
+use analysis::data_quality::evidence::Evidence;
 use analysis::data_quality::{Finding, fix, scan_files};
 use report::text::findings::message;
 use tests::campaign_copy::{CampaignCopy, CsvTable};
@@ -10,13 +12,15 @@ use tests::data;
 
 use super::{ALL, assert_equal_numbers, assert_message, clean, single};
 
+const NO_DELAY: Alignment = Alignment { delay_us: 0.0 };
+
 fn found(spoilt: &CampaignCopy) -> Vec<Finding> {
-    scan_files(&spoilt.path(), |_| ()).unwrap()
+    scan_files(&spoilt.path(), NO_DELAY, |_| ()).unwrap()
 }
 
 /// Findings of a corrected copy.
 fn checked(folder: &std::path::Path) -> anyhow::Result<Vec<Finding>> {
-    scan_files(folder, |_| ())
+    scan_files(folder, NO_DELAY, |_| ())
 }
 
 /// The only finding.
@@ -33,7 +37,7 @@ fn corrected(spoilt: &CampaignCopy, recording: u32, name: &str) -> CsvTable {
     let done =
         fix::write(&spoilt.path(), &found(spoilt), &spoilt.repaired_path(), checked).unwrap();
     assert!(!done.is_empty());
-    let left = scan_files(&spoilt.repaired_path(), |_| ()).unwrap();
+    let left = scan_files(&spoilt.repaired_path(), NO_DELAY, |_| ()).unwrap();
     assert!(left.is_empty(), "{left:#?}");
     let folder = spoilt.repaired_path().join(recording.to_string());
     let description = std::fs::read_to_string(folder.join("recording.toml")).unwrap();
@@ -44,7 +48,7 @@ fn corrected(spoilt: &CampaignCopy, recording: u32, name: &str) -> CsvTable {
 #[test]
 fn clean_campaigns_have_no_finding() {
     for name in ["clean", "demo", "friction", "ripple"] {
-        let findings = scan_files(&data(name), |_| ()).unwrap();
+        let findings = scan_files(&data(name), NO_DELAY, |_| ()).unwrap();
         assert!(findings.is_empty(), "{name}: {findings:#?}");
     }
 }
@@ -457,4 +461,94 @@ fn sensor_without_temperature_is_named() {
         ("missing_temperature", false, "s2_temp_c")
     );
     assert_message(&finding, &["s2_temp_c is missing in recordings 2 and 3", "at sensor 2"]);
+}
+
+#[test]
+fn clock_offset_of_each_recording_is_found_and_applied() {
+    let offsets_us = [-200_000.0, 300_000.0, -500_000.0];
+    let mut spoilt = CampaignCopy::new();
+    for (recording, offset_us) in (1..).zip(offsets_us) {
+        spoilt = spoilt.change(&[recording], "force.csv", |cells| {
+            cells.change("t_us", |_, t| (t - offset_us).to_string());
+        });
+    }
+    let finding = only(&spoilt);
+    let Evidence::ClockOffsets { offsets, delay_ms, .. } = &finding.evidence else {
+        panic!("{finding:?}")
+    };
+    assert_eq!((finding.id, finding.stops, *delay_ms), ("clock_offset", false, None));
+    for (offset, expected_us) in offsets.iter().zip(offsets_us) {
+        assert!((offset.offset_ms - 1e-3 * expected_us).abs() < 1.0, "{offset:?}");
+        assert!(offset.offset_error_ms < 0.5 && offset.rate_ppm == 0.0, "{offset:?}");
+    }
+    assert_message(&finding, &["ms in recording 2", "--fix NEW applies them"]);
+    let times = corrected(&spoilt, 2, "force.csv").numbers("t_us");
+    let expected = clean(2, "force.csv").numbers("t_us");
+    assert!(times.iter().zip(&expected).all(|(own, of)| (own - of).abs() < 1000.0));
+}
+
+#[test]
+fn clock_that_runs_fast_is_found_in_ppm_and_corrected() {
+    let spoilt = CampaignCopy::new().change(&ALL, "force.csv", |cells| {
+        cells.change("t_us", |_, t| (t * 1.002).to_string());
+    });
+    let finding = only(&spoilt);
+    let Evidence::ClockOffsets { offsets, delay_ms: None, .. } = &finding.evidence else {
+        panic!("{finding:?}")
+    };
+    // A clock of 1.002 is corrected by 1/1.002 - 1.
+    for offset in offsets {
+        let (rate, error) = (offset.rate_ppm, offset.rate_error_ppm);
+        assert!((rate + 1996.0).abs() < 100.0 && error < 100.0, "{offset:?}");
+    }
+    assert_message(&finding, &["ppm"]);
+    let times = corrected(&spoilt, 1, "force.csv").numbers("t_us");
+    let expected = clean(1, "force.csv").numbers("t_us");
+    assert!(times.iter().zip(&expected).all(|(own, of)| (own - of).abs() < 1500.0));
+}
+
+#[test]
+fn counts_that_wrapped_are_found_and_restored() {
+    let spoilt = CampaignCopy::new().change(&[2], "hall.csv", |cells| {
+        cells.change("s1_x_lsb", |_, counts| {
+            let wrapped = if counts < -200.0 { counts + 65_536.0 } else { counts };
+            wrapped.to_string()
+        });
+    });
+    let finding = &found(&spoilt)[0];
+    assert_eq!((finding.id, finding.stops, column(finding)), ("wrapped", true, "s1_x_lsb"));
+    assert_message(finding, &["wrapped by 65536 counts", "no saturation", "in recording 2"]);
+    let restored = corrected(&spoilt, 2, "hall.csv").numbers("s1_x_lsb");
+    assert_eq!(restored, clean(2, "hall.csv").numbers("s1_x_lsb"));
+}
+
+#[test]
+fn clipped_reference_stops_and_a_scale_at_rest_does_not() {
+    for (limit, stops) in [(20.0, true), (0.0, false)] {
+        let spoilt = CampaignCopy::new().change(&ALL, "force.csv", |cells| {
+            cells.change("f0_x_n", |_, newtons| newtons.min(limit).to_string());
+        });
+        let finding = found(&spoilt).into_iter().find(|finding| finding.id == "saturated").unwrap();
+        assert_eq!((finding.stops, column(&finding)), (stops, "f0_x_n"));
+    }
+}
+
+#[test]
+fn recordings_at_the_same_time_are_named() {
+    let spoilt = CampaignCopy::new();
+    let path = spoilt.recording(2).join("recording.toml");
+    let text = std::fs::read_to_string(&path).unwrap();
+    let starts = |start: &str| {
+        let line = |line: &str| {
+            if line.starts_with("start_s") { start.to_owned() } else { line.to_owned() }
+        };
+        text.lines().map(line).collect::<Vec<_>>().join("\n")
+    };
+    std::fs::write(&path, starts("start_s = 3.0")).unwrap();
+    let finding = only(&spoilt);
+    assert_eq!(finding.id, "recordings_overlap");
+    assert_message(&finding, &["recording 2 begins", "before recording 1 ends"]);
+    // An assumed start cannot be wrong.
+    std::fs::write(&path, starts("start_s = 3.0\nstart = \"assumed\"")).unwrap();
+    assert!(found(&spoilt).is_empty());
 }

@@ -21,6 +21,7 @@ use crate::recordings::units::column_unit;
 
 mod evaluator;
 mod syntax;
+mod units;
 
 use evaluator::{Formula, Values};
 pub use syntax::ExpressionError;
@@ -329,6 +330,14 @@ impl Expression {
         self.formula.evaluate(&values)
     }
 
+    /// Whether it depends on the times of the rows.
+    pub fn depends_on_time(&self) -> bool {
+        let is_of_time =
+            |name: &String| name.ends_with("_per_s") || matches!(&**name, "time_s" | "session_s");
+        self.inputs.iter().any(|input| input.lag.is_some())
+            || self.covariates.iter().any(is_of_time)
+    }
+
     /// Position in the chain from force to field.
     pub fn stage(&self) -> EffectStage {
         self.target.stage()
@@ -336,21 +345,31 @@ impl Expression {
 
     /// Coefficients, followed by nonlinear parameters.
     pub fn parameters(&self) -> Vec<EffectParameter> {
-        let coefficient = |name: &String| EffectParameter {
+        let coefficient = |(name, unit): (&String, String)| EffectParameter {
             name: Cow::Owned(name.clone()),
+            unit: Cow::Owned(unit),
             // The magnitude follows from the recordings.
             ..EffectParameter::coefficient("", self.target.unit, f64::NAN)
         };
-        let shape = |range: &ParameterRange| {
+        let shape = |(place, range): (usize, &ParameterRange)| {
             let step = (range.to - range.from) / GRID_STEPS as f64;
             let grid = (0..=GRID_STEPS).map(|i| range.from + step * i as f64).collect();
             EffectParameter {
                 name: Cow::Owned(range.name.clone()),
                 kind: ParameterKind::Shape { grid: Cow::Owned(grid) },
-                ..EffectParameter::coefficient("", "", 0.0)
+                ..EffectParameter::coefficient("", self.shape_unit(place), 0.0)
             }
         };
-        self.coefficients.iter().map(coefficient).chain(self.ranges.iter().map(shape)).collect()
+        let coefficients = self.coefficients.iter().zip(self.coefficient_units());
+        coefficients.map(coefficient).chain(self.ranges.iter().enumerate().map(shape)).collect()
+    }
+
+    /// Unit of the coefficients if they have one in common, else that of the target.
+    pub fn size_unit(&self) -> String {
+        let units = self.coefficient_units();
+        let is_common = units.iter().all(|unit| *unit == units[0]);
+        let common = units.into_iter().next().filter(|_| is_common);
+        common.unwrap_or_else(|| self.target.unit.to_owned())
     }
 
     /// Euclidean norm of the coefficients.

@@ -232,3 +232,32 @@ fn every_target_changes_its_own_quantity() {
     assert_eq!(applied("gain_y_percent").1.gain, Vector3::new(1.0, 1.02, 1.0));
     assert_eq!(applied("rotation_x_mrad").1.rotation_rad, Vector3::new(2e-3, 0.0, 0.0));
 }
+
+#[test]
+fn units_of_coefficients_hold_those_of_their_covariates() {
+    let columns = ["opening_mm", "temp_c", "supply_v", "duty_ratio"].map(str::to_owned);
+    let units = |formula: &str| {
+        let expression = Expression::parse(&format!("f: {formula}"), &[], &columns).unwrap();
+        expression.parameters().iter().map(|one| one.unit.to_string()).collect::<Vec<_>>()
+    };
+    assert_eq!(units("dx_um = a*fx_n*(temp_c-25)"), ["um/(N K)"]);
+    assert_eq!(units("dx_um = a*fx_n^2 + b*fx_n*opening_mm"), ["um/N^2", "um/(N mm)"]);
+    assert_eq!(units("bx_g = a*sin(2*pi*opening_mm/3) + b"), ["G", "G"]);
+    assert_eq!(units("bx_g = a*supply_v/opening_mm"), ["G mm/V"]);
+    assert_eq!(units("bx_g = a*duty_ratio + b*abs(fz_n)"), ["G", "G/N"]);
+    assert_eq!(units("fx_n = a*fx_rate_n_per_s + b*time_s"), ["N/(N/s)", "N/s"]);
+}
+
+#[test]
+fn period_and_time_constant_have_the_units_of_what_they_divide() {
+    let range = ParameterRange { name: "p".to_owned(), from: 2.0, to: 5.0 };
+    let unit = |formula: &str| {
+        let columns = ["opening_mm".to_owned()];
+        let text = format!("f: {formula}");
+        let expression = Expression::parse(&text, std::slice::from_ref(&range), &columns).unwrap();
+        expression.parameters().last().unwrap().unit.to_string()
+    };
+    assert_eq!(unit("dx_um = a*sin(2*pi*opening_mm/p) + b*cos(2*pi*opening_mm/p)"), "mm");
+    assert_eq!(unit("dx_um = a*lag(fx_n, p)"), "s");
+    assert_eq!(unit("dx_um = a*tanh(fx_n/p)"), "N");
+}

@@ -131,6 +131,9 @@ pub fn propose(sources: &[PathBuf]) -> Result<Proposal, DataError> {
     if one_clock {
         draft.check("each file begins after the end of the one before: taken as one running clock");
     }
+    if !one_clock && !others.is_empty() {
+        draft.check("the clocks begin anew with each file, so the times between the recordings are not known: give starts_s, else no drift over the campaign can be found");
+    }
     let (hall_columns, force_columns) = draft.columns.split_at(hall_end);
     let mut text = head(first, &draft, one_clock);
     let is_folder = hall.is_in_folder;
@@ -355,9 +358,13 @@ impl Draft {
         let has = |group: &Group, axis: Axis| {
             fields().any(|column| column.stated.group == *group && axis_of(column) == Some(axis))
         };
-        let (complete, partial): (Vec<&Group>, Vec<&Group>) = column_groups(fields())
+        let (mut complete, mut partial): (Vec<&Group>, Vec<&Group>) = column_groups(fields())
             .into_iter()
             .partition(|group| Axis::ALL.into_iter().all(|axis| has(group, axis)));
+        if complete.is_empty() && !partial.is_empty() {
+            std::mem::swap(&mut complete, &mut partial);
+            self.check("a sensor has not all of x, y and z: its field can be fitted with --base polynomial only");
+        }
         let mut without_unit = fields().filter(|column| column.stated.unit.is_none());
         let are_whole = without_unit.all(|column| column.is_whole);
         for column in fields().filter(|column| partial.contains(&&column.stated.group)) {
@@ -477,8 +484,10 @@ impl Draft {
             );
         }
         for column in &table.columns {
-            let is_other =
-                matches!(column.quantity, Quantity::Length | Quantity::Current | Quantity::Angle);
+            let is_other = matches!(
+                column.quantity,
+                Quantity::Length | Quantity::Current | Quantity::Angle | Quantity::Other
+            );
             if is_other
                 && column.is_numeric()
                 && !column.is_constant()
@@ -721,6 +730,11 @@ fn head(first: &[SourceTable], draft: &Draft, one_clock: bool) -> String {
         let _ = writeln!(text, "#   {}", check.replace(|c: char| c.is_control(), " "));
     }
     let _ = writeln!(text, "\ndescription = \"\"\none_clock = {one_clock}");
+    if !one_clock {
+        text.push_str(
+            "# starts_s = [0.0, 60.0, 120.0]  # start of each source, in seconds since the first\n",
+        );
+    }
     let is_raw = draft.columns.iter().any(|column| column.unit == "lsb");
     if is_raw {
         text.push_str("# gauss_per_lsb = 0.125        # scale of the raw counts, from the data sheet: required\n");

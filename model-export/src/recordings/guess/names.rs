@@ -15,9 +15,11 @@ pub enum Quantity {
     Length,
     Current,
     Angle,
+    /// Of another unit, such as a voltage, a torque or a humidity: a covariate.
+    Other,
     /// Part of a quaternion.
     Attitude,
-    /// Torques and angular rates, which no column of a recording holds.
+    /// Torques and angular rates without a unit.
     Unsupported,
     Unknown,
 }
@@ -34,6 +36,7 @@ impl Quantity {
             "mm" => Self::Length,
             "a" => Self::Current,
             "rad" => Self::Angle,
+            "v" | "w" | "nm" | "radps" | "hz" | "percent" => Self::Other,
             _ => Self::Unknown,
         }
     }
@@ -119,6 +122,13 @@ fn unit_named(stem: &str, text: &str) -> Option<Unit> {
         ("amp" | "amps" | "ampere" | "amperes", _) => "A",
         ("radians", _) => "rad",
         ("degree" | "degrees", _) => "deg",
+        (
+            "nm" | "n m" | "n\u{b7}m",
+            Quantity::Unsupported | Quantity::Field | Quantity::Unknown,
+        ) => "N m",
+        ("radps" | "rads", _) => "rad/s",
+        ("dps" | "degps", _) => "deg/s",
+        ("percent" | "pct", _) => "%",
         ("mps2" | "ms2" | "m/s^2" | "m/s\u{b2}", _) => "m/s2",
         _ => symbol.as_str(),
     };
@@ -210,7 +220,7 @@ impl ColumnName {
         let (mut quantity, axis, used) = quantity_of(&words);
         if let Some(unit) = unit
             && !quantity.accepts(unit)
-            && quantity != Quantity::Unsupported
+            && (quantity != Quantity::Unsupported || Quantity::of_unit(unit) == Quantity::Other)
         {
             quantity = Quantity::of_unit(unit);
         }

@@ -92,7 +92,7 @@ fn read_bag(path: &Path, first: &[SourceTable]) -> Result<Vec<SourceTable>, Data
         topics.into_iter().partition(|topic| has(topic, Quantity::Force));
     let mut tables = Vec::new();
     for (topics, quantity, join) in
-        [(other, Quantity::Field, Join::Nearest), (force, Quantity::Force, Join::Once)]
+        [(other, Quantity::Field, Join::EveryRow), (force, Quantity::Force, Join::Once)]
     {
         let clock = mcap::common_clock(&topics);
         let of_quantity = || topics.iter().filter(|topic| has(topic, quantity));
@@ -113,8 +113,8 @@ fn read_bag(path: &Path, first: &[SourceTable]) -> Result<Vec<SourceTable>, Data
         });
         let fields: Vec<(String, Option<String>)> =
             [(clock_name.clone(), timed.unit(clock))].into_iter().chain(fields).collect();
-        let names: Vec<&str> = fields.iter().map(|(name, _)| name.as_str()).collect();
-        let text = mcap::join_topics(path, &topics, &clock_name, &names, join)?;
+        let names: Vec<_> = fields.iter().map(|(name, _)| (name.as_str(), None)).collect();
+        let text = mcap::join_topics(path, &topics, &clock_name, &names, join)?.text;
         let header = CsvTable::from_text(path, text.clone())?.header().to_vec();
         let mut table = read_rows(path, false, header, CsvReader::from_text(path, text))?;
         for (column, (_, unit)) in table.columns.iter_mut().zip(&fields) {

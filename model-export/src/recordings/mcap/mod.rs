@@ -20,7 +20,9 @@ use mcap::sans_io::LinearReaderOptions;
 
 use crate::input::{self, check_recording_values};
 use crate::recordings::csv_table::GAP_STEPS;
+use crate::recordings::description::JoinedChannel;
 use crate::recordings::error::{DataError, ErrorKind, Location, closest_match};
+use crate::recordings::units::round_significant;
 use decode::Decoder;
 pub use recording::{EstimatedForce, RecordingMcap, RecordingTopics, StateTopic, TopicColumns};
 use sqlite::SqliteMessages;
@@ -273,15 +275,28 @@ pub fn common_clock(topics: &[Topic]) -> &'static str {
 /// What a row of a table needs of the topics besides that of its clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Join {
-    /// In every row the message nearest in time, if it is not more than [`GAP_STEPS`] periods of its topic away: for a board's
-    /// readings and covariates.
-    Nearest,
-    /// Each message in the row nearest in time, and no value in the others: for a reference that is interpolated.
+    /// In every row the value at its time, interpolated between two messages that are not more than [`GAP_STEPS`] periods of their
+    /// topic apart: for a board's readings and covariates.
+    EveryRow,
+    /// The same for topics as fast as the rows; each message of a slower one in the row nearest in time, and no value in the others:
+    /// for a reference that is interpolated later.
     Once,
 }
 
+/// A table of joined topics.
+#[derive(Debug)]
+pub struct JoinedTopics {
+    /// CSV text.
+    pub text: Vec<u8>,
+    /// Topics as fast as the rows with a clock of their own, with the columns of the text.
+    pub joined: Vec<JoinedChannel>,
+}
+
+/// Largest ratio of its period to that of the rows at which a topic of [`Join::Once`] is interpolated.
+const AS_FAST: f64 = 1.5;
+
 /// A table of topics as CSV text: a row for each message of the clock's topic, in the order of their times, with the columns
-/// `clock` and `columns`.
+/// `clock` and `columns`, each with half a turn in its unit where it is an angle.
 ///
 /// # Errors
 /// A column is not in the bag, or its topic is without the clock.
@@ -289,16 +304,17 @@ pub fn join_topics(
     path: &Path,
     topics: &[Topic],
     clock: &str,
-    columns: &[&str],
+    columns: &[(&str, Option<f64>)],
     join: Join,
-) -> Result<Vec<u8>, DataError> {
+) -> Result<JoinedTopics, DataError> {
     let (clock_topic, clock_path) = find(path, topics, clock)?;
     let clock_ns = clock_topic.values(clock_path).unwrap_or_default();
     let order = ascending(clock_ns);
     let row_ns: Vec<f64> = order.iter().map(|row| clock_ns[*row]).collect();
     let mut names = vec![clock];
     let mut joined = vec![row_ns.clone()];
-    for column in columns.iter().filter(|column| **column != clock) {
+    let mut channels: Vec<JoinedChannel> = Vec::new();
+    for (column, half_turn) in columns.iter().filter(|(column, _)| *column != clock) {
         let (topic, field) = find(path, topics, column)?;
         let values = topic.values(field).unwrap_or_default();
         names.push(column);
@@ -318,10 +334,20 @@ pub fn join_topics(
         let own_order = ascending(time_ns);
         let sorted = |of: &[f64]| own_order.iter().map(|row| of[*row]).collect::<Vec<f64>>();
         let (time_ns, values) = (sorted(time_ns), sorted(values));
+        let is_slow = median_step(&time_ns) > AS_FAST * median_step(&row_ns);
         joined.push(match join {
-            Join::Nearest => nearest(&row_ns, &time_ns, &values),
-            Join::Once => once(&row_ns, &time_ns, &values),
+            Join::Once if is_slow => once(&row_ns, &time_ns, &values),
+            Join::EveryRow | Join::Once => {
+                interpolated(&row_ns, &time_ns, &values, half_turn.unwrap_or(f64::INFINITY))
+            }
         });
+        match channels.iter_mut().find(|channel| channel.source == topic.name) {
+            Some(channel) => channel.columns.push((*column).to_owned()),
+            None if is_slow => {}
+            None => {
+                channels.extend(JoinedChannel::of(&topic.name, column, &row_ns, &time_ns, join))
+            }
+        }
     }
     let mut out = csv::Writer::from_writer(Vec::new());
     let unwritable = |error: csv::Error| {
@@ -335,8 +361,59 @@ pub fn join_topics(
         });
         out.write_record(cells).map_err(unwritable)?;
     }
-    out.into_inner()
-        .map_err(|error| ErrorKind::Unwritable(error.into_error()).at(Location::file(path)))
+    let text = out
+        .into_inner()
+        .map_err(|error| ErrorKind::Unwritable(error.into_error()).at(Location::file(path)))?;
+    Ok(JoinedTopics { text, joined: channels })
+}
+
+impl JoinedChannel {
+    /// The topic whose messages have these times, joined with rows; `None` where all have the time of a row.
+    fn of(topic: &str, column: &str, row_ns: &[f64], time_ns: &[f64], join: Join) -> Option<Self> {
+        let shift_ns = |time: &f64| row_ns.get(nearest_index(row_ns, *time)).map(|row| time - row);
+        let mut shifts: Vec<f64> = time_ns.iter().filter_map(shift_ns).collect();
+        shifts.sort_by(f64::total_cmp);
+        let last = shifts.len().checked_sub(1)? as f64;
+        let at = |share: f64| 1e-6 * shifts[(share * last).round() as usize];
+        let shift_ms = [at(0.5), at(0.05), at(0.95)];
+        if shifts.iter().all(|shift| *shift == 0.0) {
+            return None;
+        }
+        let shares: Vec<f64> =
+            row_ns.iter().filter_map(|row| share_of_next(time_ns, *row)).collect();
+        Some(Self {
+            source: topic.to_owned(),
+            shift_ms,
+            columns: vec![column.to_owned()],
+            noise_factor: round_significant(noise_factor(&shares, join == Join::EveryRow), 4),
+        })
+    }
+}
+
+/// Share of the later of the two values between which a row is interpolated.
+fn share_of_next(times: &[f64], row: f64) -> Option<f64> {
+    let after = times.partition_point(|own| *own < row);
+    let (next, last) = (times.get(after)?, times.get(after.checked_sub(1)?)?);
+    Some((row - last) / (next - last))
+}
+
+/// Noise of a row relative to what third differences of interpolated values show (see [`WhiteNoise`]): interpolation correlates
+/// neighbours. Where rows are averaged later, the noise of a row that counts is that of the samples.
+///
+/// [`WhiteNoise`]: crate::recordings::noise::WhiteNoise
+fn noise_factor(shares: &[f64], is_averaged: bool) -> f64 {
+    const DIFFERENCES: [f64; 4] = [1.0, -3.0, 3.0, -1.0];
+    let of_rows = DIFFERENCES.iter().map(|weight| weight * weight).sum::<f64>();
+    let shown = |share: &f64| {
+        let at = |i: usize| DIFFERENCES.get(i).copied().unwrap_or(0.0);
+        let before = |i: usize| i.checked_sub(1).map_or(0.0, at);
+        (0..=4).map(|i| ((1.0 - share) * at(i) + share * before(i)).powi(2)).sum::<f64>()
+    };
+    let count = shares.len().max(1) as f64;
+    let shown = shares.iter().map(shown).sum::<f64>() / count;
+    let kept = shares.iter().map(|b| b * b + (1.0 - b) * (1.0 - b)).sum::<f64>() / count;
+    let of_row = if is_averaged { 1.0 } else { kept };
+    if shown > 0.0 { (of_row * of_rows / shown).sqrt() } else { 1.0 }
 }
 
 /// Topic and field of a column.
@@ -380,16 +457,32 @@ fn nearest_index(sorted: &[f64], time: f64) -> usize {
     }
 }
 
-/// The value nearest in time to each row; none where the topic has a gap there.
-fn nearest(rows: &[f64], times: &[f64], values: &[f64]) -> Vec<f64> {
+/// Median difference of ascending times; infinite with fewer than two.
+fn median_step(times: &[f64]) -> f64 {
     let mut steps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
     steps.sort_by(f64::total_cmp);
-    let period = |of: &[f64]| of.get(of.len() / 2).copied().unwrap_or(f64::INFINITY);
-    let reach = GAP_STEPS * period(&steps);
+    steps.get(steps.len() / 2).copied().unwrap_or(f64::INFINITY)
+}
+
+/// The value at the time of each row, interpolated linearly; none in a gap of the topic. Before the first message and after the last
+/// it is theirs, up to a gap; between values that are more than `half_turn` apart the nearer one.
+fn interpolated(rows: &[f64], times: &[f64], values: &[f64], half_turn: f64) -> Vec<f64> {
+    let reach = GAP_STEPS * median_step(times);
+    let nearest = |time: f64| {
+        let index = nearest_index(times, time);
+        let is_near = times.get(index).is_some_and(|own| (own - time).abs() <= reach);
+        if is_near { values[index] } else { f64::NAN }
+    };
     let value = |time: &f64| {
-        let index = nearest_index(times, *time);
-        let near = times.get(index).is_some_and(|own| (own - time).abs() <= reach);
-        if near { values[index] } else { f64::NAN }
+        let after = times.partition_point(|own| own < time);
+        let Some(before) = after.checked_sub(1) else { return nearest(*time) };
+        let (Some(next), last) = (times.get(after), times[before]) else { return nearest(*time) };
+        let (from, to) = (values[before], values[after]);
+        let is_step = (to - from).abs() > half_turn || from.is_nan() || to.is_nan();
+        if is_step || next - last > reach || *next == *time {
+            return nearest(*time);
+        }
+        from + (to - from) * (time - last) / (next - last)
     };
     rows.iter().map(value).collect()
 }

@@ -9,7 +9,7 @@ use crate::recordings::error::{DataError, ErrorKind, Location};
 use crate::recordings::mapping::{ClockMapping, ColumnMapping, Mapping, TableMapping};
 use crate::recordings::mcap::LOG_TIME;
 use crate::recordings::mcap::writer::{McapWriter, NumberTopic, TopicSink};
-use crate::recordings::units::{UNITS, column_unit};
+use crate::recordings::units::{self, column_unit};
 
 /// Topic of the board's rows, with the columns of `hall.csv`.
 const BOARD: &str = "/board";
@@ -165,11 +165,7 @@ impl<S: TopicSink> RecordingTopics<S> {
 
 /// Columns of a recording with the units that their names end in.
 fn with_units(columns: &[String]) -> Vec<(&str, &'static str)> {
-    let unit = |column: &str| {
-        let canonical = column_unit(column)?;
-        let unit = UNITS.iter().find(|unit| unit.canonical == canonical && unit.factor == 1.0);
-        unit.map(|unit| unit.name)
-    };
+    let unit = |column: &str| units::symbol(column_unit(column)?);
     columns.iter().map(|column| (column.as_str(), unit(column).unwrap_or_default())).collect()
 }
 
@@ -193,6 +189,7 @@ fn mapping(
             clock: ClockMapping {
                 from: format!("{topic}.{LOG_TIME}"),
                 unit: "ns".to_owned(),
+                row_s: None,
                 offset_s: 0.0,
                 from_first_row: false,
             },
@@ -203,6 +200,7 @@ fn mapping(
     let mapping = Mapping {
         description: description.description.clone(),
         one_clock: true,
+        starts_s: Vec::new(),
         range_gauss: description.range_gauss,
         gauss_per_lsb: description.gauss_per_lsb,
         design: description.design.clone(),

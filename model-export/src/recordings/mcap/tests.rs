@@ -108,8 +108,9 @@ fn topic(name: &str, time_ns: &[f64], values: &[f64]) -> Topic {
 }
 
 fn joined(topics: &[Topic], column: &str, join: Join) -> Vec<String> {
-    let text = join_topics(Path::new("a.mcap"), topics, "/a.log_time", &[column], join).unwrap();
-    let text = String::from_utf8(text).unwrap();
+    let joined =
+        join_topics(Path::new("a.mcap"), topics, "/a.log_time", &[(column, None)], join).unwrap();
+    let text = String::from_utf8(joined.text).unwrap();
     text.lines().skip(1).map(|line| line.split(',').nth(1).unwrap().to_owned()).collect()
 }
 
@@ -119,17 +120,47 @@ fn topics_are_joined_by_time() {
     // Every second row, 0.4 later, unordered, with a gap from 12.4 to 24.4.
     let times = [4.4, 0.4, 2.4, 6.4, 8.4, 10.4, 12.4, 24.4, 26.4, 28.4];
     let topics = [topic("/a", &rows, &rows), topic("/b", &times, &times)];
-    let nearest = joined(&topics, "/b.v", Join::Nearest);
-    assert_eq!(nearest[..6], ["0.4", "0.4", "2.4", "2.4", "4.4", "4.4"]);
+    let nearest = joined(&topics, "/b.v", Join::EveryRow);
+    // Interpolated to the times of the rows; before the first message it is that one.
+    assert_eq!(nearest[..6], ["0.4", "1", "2", "3", "4", "5"]);
     // The gap is longer than five periods of 2 around row 18: 10 on either side reach over it, a wider one does not.
     assert_eq!((nearest[18].as_str(), nearest[19].as_str()), ("12.4", "24.4"));
     let wide = [0.0, 1.0, 2.0, 3.0, 29.0];
     let wide = [topic("/a", &rows, &rows), topic("/b", &wide, &wide)];
-    let values = joined(&wide, "/b.v", Join::Nearest);
+    let values = joined(&wide, "/b.v", Join::EveryRow);
     assert_eq!((values[8].as_str(), values[9].as_str(), values[24].as_str()), ("3", "", "29"));
     let once = joined(&topics, "/b.v", Join::Once);
     assert_eq!(once[..6], ["0.4", "", "2.4", "", "4.4", ""]);
     assert_eq!(once.iter().filter(|cell| !cell.is_empty()).count(), times.len());
+}
+
+#[test]
+fn shift_of_a_second_sensor_is_interpolated_and_told() {
+    // 200 Hz, the second 3 ms later; an angle that wraps.
+    let rows: Vec<f64> = (0..50).map(|row| 5e6 * f64::from(row)).collect();
+    let later: Vec<f64> = rows.iter().map(|time| time + 3e6).collect();
+    let angles: Vec<f64> = (0..50).map(|row| f64::from(row % 10) - 5.0).collect();
+    let topics = [topic("/a", &rows, &rows), topic("/b", &later, &later)];
+    for join in [Join::EveryRow, Join::Once] {
+        let columns = [("/b.v", None)];
+        let joined = join_topics(Path::new("a"), &topics, "/a.log_time", &columns, join).unwrap();
+        let text = String::from_utf8(joined.text).unwrap();
+        assert!(text.lines().skip(2).all(|line| {
+            let (time, value) = line.split_once(',').unwrap();
+            (time.parse::<f64>().unwrap() - value.parse::<f64>().unwrap()).abs() < 1.0
+        }));
+        // The nearest row of a message 3 ms after one row is 2 ms after it.
+        let [channel] = &joined.joined[..] else { panic!("{:?}", joined.joined) };
+        assert!(channel.to_string().contains("/b was sampled -2.00 ms"), "{channel}");
+        assert_eq!(channel.columns, ["/b.v"]);
+        // 0.4 of the next: third differences have 3.2 in place of 20 times the variance of the samples, a row 0.52 of it.
+        let of_row = if join == Join::EveryRow { 1.0 } else { 0.52 };
+        let expected = f64::sqrt(of_row * 20.0 / 3.2);
+        assert!((channel.noise_factor - expected).abs() < 0.02, "{channel:?} {expected}");
+    }
+    let values = interpolated(&rows, &later, &angles, 3.0);
+    assert!(values.iter().all(|value| angles.contains(value) || value.fract() != 0.0));
+    assert!(values[2..].windows(2).all(|pair| pair[1] > pair[0] || pair[1] < pair[0] - 3.0));
 }
 
 #[test]
@@ -204,7 +235,7 @@ fn files_that_cannot_be_read_are_refused_with_a_remedy() {
     write(&path, &[(MAG, 1, data)]);
     let topics = all(&path);
     let join = |column: &str| {
-        join_topics(&path, &topics, "/s0/mag.log_time", &[column], Join::Nearest)
+        join_topics(&path, &topics, "/s0/mag.log_time", &[(column, None)], Join::EveryRow)
             .unwrap_err()
             .to_string()
     };

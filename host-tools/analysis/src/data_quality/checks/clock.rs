@@ -4,8 +4,9 @@ use crate::data_quality::checks::{Channel, CheckContext, Found};
 use crate::data_quality::evidence::Evidence;
 use crate::data_quality::fix::{Change, Fix, FixKind, Repair};
 use crate::data_quality::scan::column::Quantity;
-use crate::data_quality::scan::{Repeats, TableScan};
+use crate::data_quality::scan::{RecordingScan, Repeats, TableScan};
 use model_export::recordings::Location;
+use model_export::recordings::description::RECORDING_FILE;
 
 /// Timestamps that decrease, an error for the readers.
 pub fn backwards<'a>(context: &CheckContext<'a>) -> Vec<Found<'a>> {
@@ -58,8 +59,13 @@ fn fix(table: &TableScan, kind: FixKind, changes: Vec<Change>) -> Fix {
     Fix { kind, repairs: changes.into_iter().map(repair).collect() }
 }
 
-/// Sampling periods in microseconds of loggers of sensors and load cells (assumed); outside, the unit of the clock is probably wrong.
-const PERIODS_US: std::ops::RangeInclusive<f64> = 20.0..=2e6;
+/// Least sampling period in microseconds of loggers of sensors and load cells (assumed); below, the unit of the clock is probably
+/// wrong.
+const MIN_PERIOD_US: f64 = 20.0;
+/// The same of their largest, unless the other table of the recording is as slow: a point by point measurement.
+const MAX_PERIOD_US: f64 = 2e6;
+/// Ratio of the lengths of both tables from which one of their clocks is in another unit.
+const OTHER_UNIT: f64 = 30.0;
 
 /// Sampling periods that no logger of forces has.
 pub fn units<'a>(context: &CheckContext<'a>) -> Vec<Found<'a>> {
@@ -67,12 +73,17 @@ pub fn units<'a>(context: &CheckContext<'a>) -> Vec<Found<'a>> {
 }
 
 fn unit_of<'a>(context: &CheckContext<'a>, name: &str) -> Option<Found<'a>> {
-    let is_hit = |table: &TableScan| {
-        let period_us = table.clock.period_us;
-        table.name == name && period_us > 0.0 && !PERIODS_US.contains(&period_us)
-    };
     let tables = context.tables();
-    let hit: Vec<_> = tables.into_iter().filter(|(_, table)| is_hit(table)).collect();
+    let is_longer = |recording: usize, table: &TableScan| {
+        let mut others = tables.iter().filter(|(of, other)| *of == recording && other.name != name);
+        others.any(|(_, other)| table.clock.span_s() > OTHER_UNIT * other.clock.span_s())
+    };
+    let is_hit = |(recording, table): &&(usize, &TableScan)| {
+        let period_us = table.clock.period_us;
+        let is_slow = || period_us > MAX_PERIOD_US && is_longer(*recording, table);
+        table.name == name && period_us > 0.0 && (period_us < MIN_PERIOD_US || is_slow())
+    };
+    let hit: Vec<_> = tables.iter().filter(is_hit).collect();
     let (_, first) = hit.first()?;
     let evidence = Evidence::ClockUnit {
         recordings: context.recordings_in(hit.iter().map(|(recording, _)| *recording)),
@@ -80,6 +91,38 @@ fn unit_of<'a>(context: &CheckContext<'a>, name: &str) -> Option<Found<'a>> {
         duration_s: first.clock.span_s(),
     };
     Some(Found::new(Location::file(&first.path).column("t_us"), evidence))
+}
+
+/// Share of a recording that may lie in the next one: clocks and starts are rounded.
+const OVERLAP: f64 = 0.02;
+
+/// Recordings of one gripper at the same time, by their starts.
+pub fn overlaps<'a>(context: &CheckContext<'a>) -> Vec<Found<'a>> {
+    let hall = |scan: &'a RecordingScan| scan.table("hall.csv");
+    let mut spans: Vec<(f64, f64, &RecordingScan)> = context
+        .recordings
+        .iter()
+        .filter_map(|scan| {
+            let clock = &hall(scan)?.clock;
+            let start_s = scan.start_s? + 1e-6 * clock.first_us;
+            Some((start_s, start_s + clock.span_s(), scan))
+        })
+        .collect();
+    spans.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let is_overlap = |pair: &&[(f64, f64, &RecordingScan)]| {
+        let [(start_s, end_s, _), (next_s, next_end_s, _)] = pair else { return false };
+        let least_s = OVERLAP * (end_s - start_s).min(next_end_s - next_s);
+        end_s - next_s > least_s
+    };
+    let pairs: Vec<_> = spans.windows(2).filter(is_overlap).collect();
+    let Some([(_, end_s, first), (next_s, _, second)]) = pairs.first() else { return Vec::new() };
+    let evidence = Evidence::Overlap {
+        recordings: [first.name.clone(), second.name.clone()],
+        by_s: end_s - next_s,
+        pairs: pairs.len(),
+    };
+    let place = Location::file(&second.folder.join(RECORDING_FILE)).column("start_s");
+    vec![Found::new(place, evidence)]
 }
 
 /// Timestamp steps far above the sampling period.

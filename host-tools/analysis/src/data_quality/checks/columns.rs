@@ -231,6 +231,8 @@ fn temperature(column: &ColumnScan) -> Option<Misfit> {
     let median = column.sample.median()?;
     let (found, cure) = match median {
         t if t <= HOT_C => return None,
+        // A furnace or a thermocouple: no other unit has a room temperature here.
+        _ if column.extent.0 < KELVIN.start && column.extent.1 > KELVIN.end => return None,
         t if t <= HOTTEST_C => ("degrees Fahrenheit", None),
         t if KELVIN.contains(&t) => ("kelvin", Some((1.0, -273.15))),
         _ => ("another unit", None),
@@ -380,8 +382,14 @@ fn cut_short<'a>(context: &CheckContext, seen: &[Channel<'a>]) -> Option<Found<'
         value,
         at_rest: value == 0.0 && worst.column.quantity == Quantity::Force,
     };
-    Some(Found::new(worst.at(2), evidence).explaining(seen))
+    let is_lost = worst.column.quantity == Quantity::Force && value != 0.0;
+    let found = Found::new(worst.at(2), evidence).explaining(seen);
+    // No model explains what the reference did not measure.
+    Some(if is_lost && share(worst) > CLIPPED_REFERENCE { found.stopping(None) } else { found })
 }
+
+/// Share of clipped rows from which a reference cannot be used.
+const CLIPPED_REFERENCE: f64 = 0.02;
 
 /// Sensors without a temperature in recordings where others have one.
 pub fn missing_temperatures<'a>(context: &CheckContext<'a>) -> Vec<Found<'a>> {

@@ -1,12 +1,16 @@
 //! Checks on the scanned files.
 //!
+//! - [`alignment`]: offset and rate of the reference's clock.
 //! - [`clock`]: order of the rows, gaps, repeated samples.
 //! - [`columns`]: values of single columns.
 //! - [`lines`]: periodic disturbances.
+//! - [`wraps`]: counts that wrapped.
 
+pub mod alignment;
 pub mod clock;
 pub mod columns;
 pub mod lines;
+pub mod wraps;
 
 use std::collections::{BTreeSet, HashSet};
 
@@ -64,6 +68,11 @@ impl<'a> Found<'a> {
     /// Makes it an error, with its unambiguous correction if there is one.
     pub fn stopping(self, fix: Option<Fix>) -> Self {
         Self { stops: true, fix, ..self }
+    }
+
+    /// Adds an unambiguous correction to a warning.
+    pub fn with_fix(self, fix: Fix) -> Self {
+        Self { fix: Some(fix), ..self }
     }
 
     /// Excludes these columns from the checks after this one.

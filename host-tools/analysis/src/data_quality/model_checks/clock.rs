@@ -62,7 +62,7 @@ fn describe<'a>(residuals: &ModelResiduals<'a>, group: &[Shift]) -> Found<'a> {
     let fall = group.iter().map(|shift| shift.fall).fold(1.0, f64::min);
     let place = Location::file(&residuals.names.force(group[0].recording)).column("t_us");
     let names = group.iter().map(|shift| campaign.recordings[shift.recording].name.clone());
-    let evidence = Evidence::ClockOffset {
+    let evidence = Evidence::ClockLag {
         lag_ms: mean_ms,
         recordings: RecordingSet { names: names.collect(), is_all: whole },
         sensors: group[0].sensors,

@@ -236,14 +236,14 @@ impl Names {
 
     /// True where the sensor's field was recorded in counts.
     pub fn is_raw(&self, recording: usize, sensor: u32) -> bool {
-        let name = format!("s{sensor}_x_lsb");
-        self.tables[recording][0].header.contains(&name)
+        self.field(recording, sensor, 0).ends_with("_lsb")
     }
 
     /// Column name of a field; axis 0 is x, 1 y, 2 z.
     pub fn field(&self, recording: usize, sensor: u32, axis: usize) -> String {
-        let unit = if self.is_raw(recording, sensor) { "lsb" } else { "gauss" };
-        format!("s{sensor}_{}_{unit}", Axis::ALL[axis].letter())
+        let prefix = format!("s{sensor}_{}_", Axis::ALL[axis].letter());
+        let mut header = self.tables[recording][0].header.iter();
+        header.find(|name| name.starts_with(&prefix)).cloned().unwrap_or(prefix)
     }
 }
 

@@ -80,6 +80,9 @@ pub struct ColumnScan {
     pub at_limit: (u64, u64),
     /// Lower and upper extreme values.
     pub ends: [Extreme; 2],
+    /// Largest change from row to row.
+    pub largest_jump: f64,
+    last: f64,
     /// Quantisation.
     pub grid: StepGrid,
     /// Runs of equal values.
@@ -111,6 +114,8 @@ impl ColumnScan {
             extent: (f64::INFINITY, f64::NEG_INFINITY),
             at_limit: (0, 0),
             ends: [Extreme::lower(), Extreme::upper()],
+            largest_jump: 0.0,
+            last: f64::NAN,
             grid: StepGrid::default(),
             runs: Runs::default(),
             sample: Subsample::default(),
@@ -140,6 +145,9 @@ impl ColumnScan {
             return;
         }
         self.rows += 1;
+        // The maximum with a number that is none is the other one.
+        self.largest_jump = self.largest_jump.max((value - self.last).abs());
+        self.last = value;
         let from_mean = value - self.mean;
         self.mean += from_mean / self.rows as f64;
         self.squares += from_mean * (value - self.mean);
@@ -265,6 +273,23 @@ impl StepGrid {
         values.sort_by(f64::total_cmp);
         let steps = values.windows(2).map(|pair| pair[1] - pair[0]);
         steps.reduce(f64::min).unwrap_or(0.0)
+    }
+
+    /// Common step of the values, which are written with a few decimals: that of the counts behind them. `None` for a constant, or
+    /// where they have none.
+    pub fn resolution(&self) -> Option<f64> {
+        /// Decimals of a logger.
+        const DECIMALS: std::ops::RangeInclusive<i32> = 0..=9;
+        let values = || self.distinct.iter().map(|bits| f64::from_bits(*bits));
+        let is_whole = |scale: f64| {
+            values().all(|value| (value * scale - (value * scale).round()).abs() < 1e-4)
+        };
+        let scale =
+            DECIMALS.map(|decimals| 10_f64.powi(decimals)).find(|scale| is_whole(*scale))?;
+        let first = (values().next()? * scale).round();
+        let divisor = values()
+            .fold(0, |divisor, value| gcd(divisor, ((value * scale).round() - first).abs() as u64));
+        (divisor > 0).then(|| divisor as f64 / scale)
     }
 
     /// Greatest common divisor of all differences; `None` for non-integers or a

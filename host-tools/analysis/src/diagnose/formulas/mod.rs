@@ -340,7 +340,7 @@ impl<'a> FormulaSearch<'a> {
     pub fn run(&self, start: &FittedModel, observer: &Observer) -> Result<Option<Discovery>> {
         let mut accepted: Vec<Accepted> = Vec::new();
         let mut model = start.clone();
-        while accepted.len() < MAX_FORMULAS && !observer.is_stopped() {
+        while accepted.len() < MAX_FORMULAS && self.size() > 0 && !observer.is_stopped() {
             observer.stage(&format!("searching formulas, step {}", accepted.len() + 1), STEP);
             let scan = self.scan(&model);
             let before = scan.score(&[]);

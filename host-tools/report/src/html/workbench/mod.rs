@@ -151,12 +151,10 @@ pub fn state(
     });
     let untestable = bench.untestable.iter().map(|one| {
         let reason = match &one.reason {
-            Reason::NotRecorded(column) => format!("{column} was not recorded"),
-            Reason::DoesNotVary(column) => format!("{column} does not vary"),
             Reason::NeedsGeometry => "it needs the design of the sensor".to_owned(),
             Reason::NoTimeOrder => "the order of the rows carries no time".to_owned(),
             Reason::InPolynomial => "the polynomial of the forces contains it".to_owned(),
-            _ => "it needs a force".to_owned(),
+            other => other.missing_data().unwrap_or_else(|| "it needs a force".to_owned()),
         };
         json!({ "name": one.effect, "reason": reason, "record": one.record })
     });
