@@ -121,11 +121,9 @@ fn repeated_settings_give_their_pure_error() {
     assert_eq!(field.len(), 60);
     let mut squares = 0.0;
     for setting in 0..20 {
-        for axis in 0..3 {
-            let values = [0, 20, 40].map(|repeat| field[setting + repeat][axis]);
-            let mean = values.iter().sum::<f64>() / 3.0;
-            squares += values.iter().map(|b| (b - mean).powi(2)).sum::<f64>();
-        }
+        let repeats = [0, 20, 40].map(|repeat| nalgebra::Vector3::from(field[setting + repeat]));
+        let mean = repeats.iter().sum::<nalgebra::Vector3<f64>>() / 3.0;
+        squares += repeats.iter().map(|field| (field - mean).norm_squared()).sum::<f64>();
     }
     let pure_g = (squares / 120.0).sqrt();
     assert!((noise.floor_g().unwrap() / pure_g - 1.0).abs() < 1e-9);
