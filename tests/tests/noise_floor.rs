@@ -9,6 +9,7 @@ use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
 use model_export::recordings::dependence::{Dependence, DependenceKind, dependences};
 use model_export::recordings::noise_model::{NoiseEstimator, RowOrder};
+use nalgebra::Vector3;
 use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -121,9 +122,9 @@ fn repeated_settings_give_their_pure_error() {
     assert_eq!(field.len(), 60);
     let mut squares = 0.0;
     for setting in 0..20 {
-        let repeats = [0, 20, 40].map(|repeat| nalgebra::Vector3::from(field[setting + repeat]));
-        let mean = repeats.iter().sum::<nalgebra::Vector3<f64>>() / 3.0;
-        squares += repeats.iter().map(|field| (field - mean).norm_squared()).sum::<f64>();
+        let values = [0, 20, 40].map(|repeat| Vector3::from(field[setting + repeat]));
+        let mean = values.iter().sum::<Vector3<f64>>() / 3.0;
+        squares += values.iter().map(|b| (b - mean).norm_squared()).sum::<f64>();
     }
     let pure_g = (squares / 120.0).sqrt();
     assert!((noise.floor_g().unwrap() / pure_g - 1.0).abs() < 1e-9);

@@ -194,9 +194,13 @@ impl SensorNoise {
         let rows = 0..self.smooth.rows.len();
         let jitter: Vec<f64> =
             rows.map(|row| self.per_second(row).norm_squared() * self.adjusted.clock).collect();
-        let mut left: Vec<f64> = self.smooth.residual_g.iter().map(Vector3::norm_squared).collect();
+        // In the slowest third of the rows, which has no knocks, without the jitter.
+        let mut slow: Vec<usize> = (0..jitter.len()).collect();
+        slow.sort_by(|a, b| jitter[*a].total_cmp(&jitter[*b]));
+        slow.truncate(jitter.len().div_ceil(3));
+        let of_row = |row: &usize| self.smooth.residual_g[*row].norm_squared() - jitter[*row];
+        let mut left: Vec<f64> = slow.iter().map(of_row).collect();
         left.sort_by(f64::total_cmp);
-        // The rows of knocks are few, and those of their jitter.
         let left = left.get(left.len() / 2).copied().unwrap_or(0.0);
         let of_row = |(row, jitter): (usize, &f64)| {
             let slopes = self.smooth.slopes[row].iter().zip(&self.adjusted.forces);
