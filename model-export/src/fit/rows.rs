@@ -8,7 +8,7 @@ use crate::fit::FitError;
 use crate::physics::SensorOrientation;
 use crate::recordings::columns::Axis;
 use crate::recordings::dependence::{BlockFolds, block_folds};
-use crate::recordings::noise_model::jitter_n;
+use crate::recordings::noise_model::{RowOrder, jitter_n};
 use crate::recordings::{Campaign, Location, Recording};
 
 /// Minimum standard deviation of a force, in standard deviations of its noise.
@@ -250,10 +250,13 @@ impl SensorRows {
                 return Err(FitError::Stuck { place, sensor: self.sensor });
             }
         }
+        let is_ordered =
+            campaign.recordings.iter().all(|recording| recording.noise.order == RowOrder::Time);
         for (i, (place, axis)) in self.forces.iter().enumerate() {
             let ForceSpread { sigma_n, noise_n, .. } = self.spread(i);
-            // Rows in random order have no noise in their differences: there the field shows whether the load moved.
-            if sigma_n <= MIN_EXCITATION * noise_n && !self.is_followed(i) {
+            // Rows in random order have no noise in their differences: there the field shows whether the load moved. Of rows in order it
+            // would also follow the noise of forces that were estimated from it.
+            if sigma_n <= MIN_EXCITATION * noise_n && (is_ordered || !self.is_followed(i)) {
                 let place = folder.clone().column(format!("f{place}_{}_n", axis.letter()));
                 return Err(FitError::ConstantForce { place });
             }
