@@ -26,6 +26,11 @@ pub fn real_data(name: &str) -> Option<PathBuf> {
     external("real", "MAGPIE_REAL_DATA", name)
 }
 
+/// Folder of a campaign on which a diagnosis once was wrong; `None` if not available.
+pub fn case(name: &str) -> Option<PathBuf> {
+    external("cases", "MAGPIE_CASES", name)
+}
+
 /// Folder of a full campaign of the independent simulator, of which [`data`] has excerpts; `None` if not available.
 pub fn full_campaign(name: &str) -> Option<PathBuf> {
     external("recordings", "MAGPIE_RECORDINGS", name)

@@ -78,6 +78,20 @@ fn diagnosis_is_invariant_to_order_and_offset() {
     assert!((other - own).abs() < 0.01, "{own} {other}");
 }
 
+/// A sensor drifts by 0 to 0.5 G/K: what follows the temperature by 5 G/K has another cause.
+#[test]
+fn effect_with_an_implausible_magnitude_is_not_named() {
+    let arguments = "--sensors 1 --seconds 15 --seed 2 --effect sensor_temperature";
+    let diagnosis = simulated(&format!("{arguments}=5"));
+    assert!(accepted(&diagnosis).is_empty(), "{}", diagnosis["accepted"]);
+    assert_eq!(diagnosis["at_floor"], true);
+    let covariates = &diagnosis["formulas"][0]["covariates"];
+    assert_eq!(*covariates, serde_json::json!(["temp_c"]), "{}", diagnosis["formulas"]);
+    let diagnosis = simulated(&format!("{arguments}=0.3"));
+    let step = accepted(&diagnosis).concat();
+    assert!(step.contains(&"sensor_temperature"), "{step:?}");
+}
+
 /// Foreshortening of 1.5 um, which the screening sees as a loss of gain; an effect that can do the same is fitted, too, and bounds
 /// of absent effects hold although coefficients of one effect compensate each other.
 #[test]

@@ -8,6 +8,7 @@ mod demo;
 mod diagnose;
 mod diagnose_variants;
 mod force_error;
+mod independent_campaigns;
 mod networks;
 mod orientation;
 mod setup_errors;

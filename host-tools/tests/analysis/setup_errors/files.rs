@@ -532,23 +532,3 @@ fn clipped_reference_stops_and_a_scale_at_rest_does_not() {
         assert_eq!((finding.stops, column(&finding)), (stops, "f0_x_n"));
     }
 }
-
-#[test]
-fn recordings_at_the_same_time_are_named() {
-    let spoilt = CampaignCopy::new();
-    let path = spoilt.recording(2).join("recording.toml");
-    let text = std::fs::read_to_string(&path).unwrap();
-    let starts = |start: &str| {
-        let line = |line: &str| {
-            if line.starts_with("start_s") { start.to_owned() } else { line.to_owned() }
-        };
-        text.lines().map(line).collect::<Vec<_>>().join("\n")
-    };
-    std::fs::write(&path, starts("start_s = 3.0")).unwrap();
-    let finding = only(&spoilt);
-    assert_eq!(finding.id, "recordings_overlap");
-    assert_message(&finding, &["recording 2 begins", "before recording 1 ends"]);
-    // An assumed start cannot be wrong.
-    std::fs::write(&path, starts("start_s = 3.0\nstart = \"assumed\"")).unwrap();
-    assert!(found(&spoilt).is_empty());
-}

@@ -1,0 +1,91 @@
+//! Campaigns of a simulator that has no code in common with this project, in which an effect was named that was not there, or was
+//! not named. They are read in place.
+
+use rayon::prelude::*;
+use serde_json::Value;
+
+use crate::workdir::WorkDir;
+
+/// What a diagnosis of a campaign must accept.
+struct Expected {
+    campaign: &'static str,
+    base: &'static str,
+    /// One effect of each step, in any order.
+    effects: &'static [&'static str],
+    /// Columns of the formulas.
+    covariates: &'static [&'static str],
+}
+
+const fn expected(
+    campaign: &'static str,
+    effects: &'static [&'static str],
+    covariates: &'static [&'static str],
+) -> Expected {
+    Expected { campaign, base: "cylinder", effects, covariates }
+}
+
+const CAMPAIGNS: [Expected; 12] = [
+    // Both flexures soften with the temperature: a drift of the sensor of 5 G/K fits, and is ten times too large.
+    expected("softer-when-warm", &[], &["fx_n", "temp_c", "fz_n"]),
+    // A dead zone: a hard stop stayed in the model next to the formula that explains everything.
+    expected("dead-zone", &[], &["fx_n"]),
+    // Tiny: below what any effect of the catalogue can be.
+    expected("tiny-planar", &[], &[]),
+    Expected { base: "polynomial", ..expected("negative-hard-stop", &[], &[]) },
+    // Faults of the recorder, no effect.
+    expected("spikes-100Hz", &[], &[]),
+    expected("stuck-samples", &[], &[]),
+    // Neither of two effects lowers the error in every fold alone.
+    expected(
+        "names-after-strong",
+        &["clock_skew", "magnet_temperature", "fingertip_mass", "earth_field"],
+        &[],
+    ),
+    expected("plan-two-effects", &["neighbour_magnet", "earth_field"], &[]),
+    // The load's motion and the reference's clock are no noise of the field.
+    expected("effect-under-rough", &[], &["motor_iq_a"]),
+    expected("effect-under-jitter", &[], &["motor_iq_a"]),
+    // Two formulas with nonlinear parameters; a formula that leaves coloured noise.
+    expected("two-formulas-p", &[], &["fz_n"]),
+    expected("right-formula-no-add", &[], &["opening_mm", "roll_rad"]),
+];
+
+#[test]
+fn effects_and_formulas_of_another_simulator_are_named() {
+    CAMPAIGNS.par_iter().for_each(|expected| {
+        let Some(folder) = tests::case(&format!("simulated/{}", expected.campaign)) else { return };
+        let (dir, folder) = (WorkDir::empty(), folder.display().to_string());
+        dir.stdout(&["fit", &folder, "--base", expected.base, "-o", "model.toml"]);
+        let diagnosis = dir.json(&["diagnose", "model.toml", &folder, "--json"]);
+        check(expected, &diagnosis);
+        // What is suggested runs.
+        for command in diagnosis["next"].as_array().unwrap() {
+            let words = shell_words::split(command.as_str().unwrap()).unwrap();
+            if words[2] == "add" {
+                dir.stdout(&words[2..]);
+            }
+        }
+    });
+}
+
+fn check(expected: &Expected, diagnosis: &Value) {
+    let who = expected.campaign;
+    let list = |of: &Value| of.as_array().cloned().unwrap_or_default();
+    let steps = list(&diagnosis["accepted"]);
+    assert_eq!(steps.len(), expected.effects.len(), "{who}: {steps:?}");
+    for effect in expected.effects {
+        let names = |step: &Value| list(step).iter().any(|name| name == effect);
+        assert!(steps.iter().any(names), "{who}: {effect}, {steps:?}");
+    }
+    let formulas = list(&diagnosis["formulas"]);
+    let covariates: Vec<Value> = formulas.iter().flat_map(|of| list(&of["covariates"])).collect();
+    let is_expected = |column: &Value| expected.covariates.iter().any(|name| column == name);
+    assert!(covariates.iter().all(is_expected), "{who}: {covariates:?}");
+    for column in expected.covariates {
+        assert!(covariates.iter().any(|own| own == column), "{who}: {column}, {covariates:?}");
+    }
+    let suggests_add = list(&diagnosis["next"])
+        .iter()
+        .any(|command| command.as_str().is_some_and(|text| text.contains(" add ")));
+    assert!(formulas.is_empty() || suggests_add, "{who}: {}", diagnosis["next"]);
+}
