@@ -163,6 +163,14 @@ fn copies_turns_of_one_run_and_overlaps_are_named() {
         (DependenceKind::Overlap, &[0, 1][..])
     );
     assert!((overlaps[0].share - 0.5).abs() < 0.01);
+    // An assumed start cannot be wrong.
+    let assumed = RECORDING_TOML.replace("start_s = 0.0", "start_s = 6.0\nstart = \"assumed\"");
+    let folder = TempDir::new().unwrap();
+    for (place, description) in [RECORDING_TOML, &assumed].into_iter().enumerate() {
+        let (hall, force) = own(1 + place as u64);
+        write_recording(&folder.path().join(place.to_string()), description, &hall, &force);
+    }
+    assert_eq!(dependences(&read(folder.path())), []);
     // Folds hold a block out of all recordings at the same time.
     let rows = SensorRows::with_own_forces(&campaign, 0).unwrap();
     let split = CvSplit::of(std::slice::from_ref(&rows));

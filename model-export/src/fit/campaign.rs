@@ -207,6 +207,11 @@ impl FitSetup {
         self.with_rows(self.rows.iter().map(of).collect()).into_sample()
     }
 
+    /// Number of recordings, with rows or not: that of the parameters of each recording.
+    pub fn recordings(&self) -> usize {
+        self.rows.first().map_or(0, |rows| rows.parts.len())
+    }
+
     /// Number of recordings with rows of any sensor.
     pub fn recording_count(&self) -> usize {
         self.rows.iter().map(SensorRows::filled_parts).max().unwrap_or(0)

@@ -97,13 +97,13 @@ fn effect_size(
         let first = first_parameter(sensor.base_count, effects, effect, recordings);
         first..first + count
     };
-    // Steps between recordings precede the slope, which has another unit.
     let excess = fit.sensors.iter().map(|sensor| {
         let first = indices(sensor).start;
         chi_squared(sensor, first..first + coefficients) - coefficients as f64
     });
     let degrees = (coefficients * fit.sensors.len()).max(1) as f64;
     let significance = excess.sum::<f64>() / (2.0 * degrees).sqrt();
+    // Steps between recordings precede the slope, which has another unit.
     let is_formula = effect.effect().is_none();
     let one_unit =
         is_formula || parameters.iter().take(count).all(|p| p.unit == parameters[0].unit);

@@ -109,7 +109,7 @@ impl<'a> ScoreTest<'a> {
     pub fn new(setup: &'a FitSetup, effects: &[EffectTerm], fit: &JointFit, block_s: f64) -> Self {
         let mut effects = effects.to_vec();
         effects.sort_by_key(EffectTerm::stage);
-        let recordings = setup.rows.first().map_or(0, |rows| rows.parts.len());
+        let recordings = setup.recordings();
         let values: Vec<Vec<f64>> =
             fit.sensors.iter().map(|sensor| sensor.values.clone()).collect();
         let (firsts, blocks) = first_blocks(setup, block_s);
@@ -516,7 +516,7 @@ fn form_columns(
 
 /// Index of the first block of each recording, and the number of blocks.
 fn first_blocks(setup: &FitSetup, block_s: f64) -> (Vec<usize>, usize) {
-    let recordings = setup.rows.first().map_or(0, |rows| rows.parts.len());
+    let recordings = setup.recordings();
     let (mut firsts, mut next) = (Vec::new(), 0);
     for recording in 0..recordings {
         let last = setup.rows.iter().filter_map(|rows| rows.parts[recording].track.time_s.last());

@@ -118,23 +118,25 @@ fn grouped(pairs: Vec<(DependenceKind, usize, usize, f64)>) -> Vec<Dependence> {
     groups
 }
 
-/// Hash of fields and forces of each row, in nine digits.
+/// Hash of fields and forces of each row in single precision: a copy may have been converted.
 fn row_hashes(recording: &Recording) -> HashSet<u64> {
     let row = |row: usize| {
         let fields = recording.sensors.values().filter_map(|sensor| sensor.field_g.get(row));
         let forces = recording.forces.values().filter_map(|force| force.newtons.get(row));
         let values: Vec<f64> = fields.flatten().chain(forces).copied().collect();
         let mut hasher = DefaultHasher::new();
-        values.iter().for_each(|value| format!("{value:.8e}").hash(&mut hasher));
+        values.iter().for_each(|value| (*value as f32).to_bits().hash(&mut hasher));
         values.iter().all(|value| value.is_finite()).then(|| hasher.finish())
     };
     (0..recording.time_s.len()).filter_map(row).collect()
 }
 
-/// Common time of two recordings relative to that of the shorter one; zero for equal starts, which are not stated.
+/// Common time of two recordings relative to that of the shorter one; zero where a start is assumed, or both are equal and so were
+/// not stated.
 fn overlap(one: &Recording, other: &Recording) -> f64 {
     let (from, other_from) = (one.description.start_s, other.description.start_s);
-    if from == other_from {
+    let is_assumed = one.description.is_start_assumed() || other.description.is_start_assumed();
+    if is_assumed || from == other_from {
         return 0.0;
     }
     let common = (from + one.span_s()).min(other_from + other.span_s()) - from.max(other_from);
@@ -155,11 +157,10 @@ struct Path {
 impl Path {
     fn of(recording: &Recording) -> Self {
         let at = |column: &[f64]| resampled(&recording.time_s, column, recording.span_s());
-        // A column that was set anew for each row has no path, but the field depends on it.
-        let follows = |name: &str| recording.noise.covariates.iter().any(|own| own == name);
         let path = |(name, column): (&str, &Vec<f64>)| {
             let finite: Vec<f64> = column.iter().copied().filter(|v| v.is_finite()).collect();
-            let moves = von_neumann(&finite).is_some_and(|ratio| ratio < HAS_PATH || follows(name));
+            let moves = von_neumann(&finite)
+                .is_some_and(|ratio| ratio < HAS_PATH || recording.noise.follows(name));
             (moves && column.len() == recording.time_s.len()).then(|| at(column))
         };
         let forces = recording.forces.values().map(|force| ("", &force.newtons));

@@ -79,6 +79,13 @@ pub struct NoiseEstimate {
     pub sample_rows: usize,
 }
 
+impl NoiseEstimate {
+    /// Whether the field depends on this covariate: a column that was set anew for each row varies like noise.
+    pub fn follows(&self, covariate: &str) -> bool {
+        self.covariates.iter().any(|own| own == covariate)
+    }
+}
+
 /// Ratio of two estimates within which they agree; below, several standard errors of a recording of ten seconds.
 const AGREE: f64 = 1.07;
 /// Standard errors by which two estimates differ that disagree.

@@ -46,8 +46,7 @@ pub fn follows_field(finding: &Finding, campaign: &Campaign) -> bool {
     let Evidence::ConstantCovariates { columns, .. } = &finding.evidence else { return false };
     let follows = |name: &str| {
         let name = if name.ends_with("_temp_c") { "temp_c" } else { name };
-        let mut recordings = campaign.recordings.iter();
-        recordings.any(|recording| recording.noise.covariates.iter().any(|own| own == name))
+        campaign.recordings.iter().any(|recording| recording.noise.follows(name))
     };
     columns.iter().all(|(name, _)| follows(name))
 }

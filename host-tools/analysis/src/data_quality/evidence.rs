@@ -57,15 +57,6 @@ pub enum Evidence {
         /// Duration of the first of these recordings in seconds.
         duration_s: f64,
     },
-    /// Recordings at the same time.
-    Overlap {
-        /// The first pair.
-        recordings: [String; 2],
-        /// How long the second begins before the end of the first, in seconds.
-        by_s: f64,
-        /// Number of pairs.
-        pairs: usize,
-    },
     /// Counts wrapped: the values are lower or higher by the range of an integer.
     Wrapped {
         /// The columns.

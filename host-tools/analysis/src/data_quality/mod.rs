@@ -63,7 +63,7 @@ struct Check {
 }
 
 /// All checks, most severe first: a check skips the columns that an earlier one explains.
-const CHECKS: [Check; 21] = {
+const CHECKS: [Check; 20] = {
     const fn files(
         id: &'static str,
         check: for<'a> fn(&CheckContext<'a>) -> Vec<Found<'a>>,
@@ -92,7 +92,6 @@ const CHECKS: [Check; 21] = {
         },
         files("clock_unit", clock::units),
         files("clock_gap", clock::gaps),
-        files("recordings_overlap", clock::overlaps),
         files("coarse_steps", columns::coarse_steps),
         files("repeated_samples", clock::repeated_samples),
         files("outlier", columns::outliers),

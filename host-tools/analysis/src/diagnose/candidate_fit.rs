@@ -3,7 +3,7 @@
 
 use crate::diagnose::candidates::{LEVEL, MIN_GAIN, ScreenedEffect};
 use crate::diagnose::selection::{
-    AcceptedStep, DISTINGUISHABLE, FittedModel, SMALL, Selection, StandIn,
+    AcceptedStep, DISTINGUISHABLE, FittedModel, ImplausibleFit, SMALL, Selection,
 };
 use anyhow::Result;
 use model_export::effects::EffectTerm;
@@ -39,21 +39,15 @@ struct FittedCandidate<'a> {
     gain: f64,
     /// Reduction in gauss squared.
     reduction: f64,
-    /// Whether the error decreases in every fold.
-    improves_all_folds: bool,
-    /// Whether it removes a relevant share of what is not noise.
-    is_relevant: bool,
+    /// Whether it lowers the error ([`FittedModel::improves`]).
+    is_improvement: bool,
     /// Whether its magnitude is plausible.
     is_plausible: bool,
 }
 
 impl FittedCandidate<'_> {
     fn is_cause(&self) -> bool {
-        self.is_improvement() && self.is_plausible
-    }
-
-    fn is_improvement(&self) -> bool {
-        self.improves_all_folds && self.gain > MIN_GAIN && self.is_relevant
+        self.is_improvement && self.is_plausible
     }
 }
 
@@ -65,7 +59,7 @@ struct Ranking<'a> {
 }
 
 /// The best significant candidate with its model; `None` where no candidate improves the error with a plausible magnitude. Those
-/// that do so with an implausible one are added to `stand_ins`.
+/// that do so with an implausible one are added to `implausible`.
 ///
 /// Transient effects are cross-validated within recordings, which is easier, so they are ranked separately. Of the
 /// two best candidates, the better one within recordings is added.
@@ -78,16 +72,19 @@ pub fn best_candidate(
     around: &ScoreTest,
     selection: &Selection,
     options: FitOptions,
-    stand_ins: &mut Vec<StandIn>,
+    implausible: &mut Vec<ImplausibleFit>,
 ) -> Result<Option<(AcceptedStep, FittedModel)>> {
     let excess = 1.0 - stage.floors().powi(-2);
     let candidates = candidates_to_fit(&selection.last, excess, || around.time_spline_gain());
     let (within, ordinary): (Vec<_>, Vec<_>) =
         candidates.into_iter().partition(|screened| screened.candidate.is_transient());
-    let ordinary = CandidateFit::new(prepared, stage, &ordinary, options)?
-        .rank(&ordinary, selection, stand_ins);
+    let ordinary = CandidateFit::new(prepared, stage, &ordinary, options)?.rank(
+        &ordinary,
+        selection,
+        implausible,
+    );
     let transient = CandidateFit::new(prepared, stage, &within, options)?;
-    let within = transient.rank(&within, selection, stand_ins);
+    let within = transient.rank(&within, selection, implausible);
     let outcome = match (ordinary, within) {
         (Some(ordinary), Some(within)) => transient.better_of(ordinary, within, selection),
         (one, other) => match one.or(other) {
@@ -149,20 +146,18 @@ pub fn best_pair(
     else {
         return Ok(None);
     };
-    let recordings = recording_count(prepared);
+    let recordings = prepared.recordings();
     let validated = |effects: Vec<EffectTerm>| {
         let split = prepared.split(&effects);
         FittedModel::new(prepared, effects, split, options)
     };
     let both = validated(with(&pair))?;
     let is_plausible = pair.iter().all(|one| both.is_plausible(&one.candidate, recordings));
-    let is_improvement =
-        both.improves_all_folds(stage) && both.gain(stage) > MIN_GAIN && both.is_relevant(stage);
-    if !is_plausible || !is_improvement || !both.is_possible(recordings) {
+    if !is_plausible || !both.improves(stage) || !both.is_possible(recordings) {
         return Ok(None);
     }
     let alone = [validated(with(&pair[..1]))?, validated(with(&pair[1..]))?];
-    // Each is needed beside the other one.
+    // Each is needed next to the other one.
     if alone.iter().any(|one| !both.is_distinguishably_better(one) || !both.is_relevant(one)) {
         return Ok(None);
     }
@@ -172,19 +167,8 @@ pub fn best_pair(
         true => (first, second, one),
         false => (second, first, other),
     };
-    let step =
-        |screened: &ScreenedEffect, model: &FittedModel, before: &FittedModel| AcceptedStep {
-            chosen: screened.candidate.clone(),
-            tied: Vec::new(),
-            shadows: Vec::new(),
-            gain: model.gain(before),
-            reduction: before.mean_square() - model.mean_square(),
-            p_adjusted: screened.p_adjusted,
-            z_typical: screened.evidence.z_typical,
-            form_gain: 0.0,
-        };
-    let steps = [step(first, &middle, stage), step(second, &both, &middle)];
-    let [one, other] = steps;
+    let one = AcceptedStep::new(first, &middle, stage);
+    let other = AcceptedStep::new(second, &both, &middle);
     Ok(Some([(one, middle), (other, both)]))
 }
 
@@ -221,13 +205,12 @@ impl<'a> CandidateFit<'a> {
         effects.push(screened.candidate.clone());
         let stage =
             FittedModel::new(self.prepared, effects, before.fit.split, self.options).ok()?;
-        let recordings = recording_count(self.prepared);
+        let recordings = self.prepared.recordings();
         stage.is_possible(recordings).then(|| FittedCandidate {
             screened,
             gain: stage.gain(before),
             reduction: before.mean_square() - stage.mean_square(),
-            improves_all_folds: stage.improves_all_folds(before),
-            is_relevant: stage.is_relevant(before),
+            is_improvement: stage.improves(before),
             is_plausible: stage.is_plausible(&screened.candidate, recordings),
             stage,
         })
@@ -238,13 +221,13 @@ impl<'a> CandidateFit<'a> {
         &self,
         contenders: &[&'s ScreenedEffect],
         selection: &Selection,
-        stand_ins: &mut Vec<StandIn>,
+        implausible: &mut Vec<ImplausibleFit>,
     ) -> Option<Ranking<'s>> {
         let fitted = contenders.par_iter().filter_map(|&screened| self.fitted(screened));
         let mut ranked: Vec<FittedCandidate> = fitted.collect();
         ranked.sort_by(|a, b| b.gain.total_cmp(&a.gain));
-        for one in ranked.iter().filter(|one| one.is_improvement() && !one.is_plausible) {
-            self.note_stand_in(one, stand_ins);
+        for one in ranked.iter().filter(|one| one.is_improvement && !one.is_plausible) {
+            self.note_implausible(one, implausible);
         }
         let best = ranked.remove(winner(&ranked, selection)?);
         let is_near = |other: &FittedCandidate| {
@@ -263,11 +246,11 @@ impl<'a> CandidateFit<'a> {
         Some(Ranking { tied: plain(tied), shadows: plain(shadows), best })
     }
 
-    fn note_stand_in(&self, one: &FittedCandidate, stand_ins: &mut Vec<StandIn>) {
+    fn note_implausible(&self, one: &FittedCandidate, implausible: &mut Vec<ImplausibleFit>) {
         let effect = &one.screened.candidate;
-        stand_ins.retain(|other| other.effect != *effect);
-        if let Some(size) = one.stage.size_of(effect, recording_count(self.prepared)) {
-            stand_ins.push(StandIn { effect: effect.clone(), size, gain: one.gain });
+        implausible.retain(|other| other.effect != *effect);
+        if let Some(size) = one.stage.size_of(effect, self.prepared.recordings()) {
+            implausible.push(ImplausibleFit { effect: effect.clone(), size, gain: one.gain });
         }
     }
 
@@ -294,11 +277,6 @@ impl<'a> CandidateFit<'a> {
     }
 }
 
-/// Number of recordings.
-pub fn recording_count(setup: &FitSetup) -> usize {
-    setup.rows.first().map_or(0, |rows| rows.parts.len())
-}
-
 /// Index of the best candidate that improves the error with a plausible magnitude and is not the remainder of an earlier step; `None`
 /// where such a remainder or an implausible effect explains much more.
 fn winner(ranked: &[FittedCandidate], selection: &Selection) -> Option<usize> {
@@ -307,7 +285,7 @@ fn winner(ranked: &[FittedCandidate], selection: &Selection) -> Option<usize> {
         let is_larger = |step: &AcceptedStep| candidate.reduction < MAX_REMAINDER * step.reduction;
         selection.forms(candidate.screened).any(is_larger)
     };
-    let first = ranked.iter().find(|c| c.is_improvement())?;
+    let first = ranked.iter().find(|c| c.is_improvement)?;
     let is_cause = |c: &FittedCandidate| c.is_cause() && !is_remainder(c);
     let place = ranked.iter().position(is_cause)?;
     (ranked[place].gain >= SMALL * first.gain).then_some(place)

@@ -159,10 +159,9 @@ pub fn varying_covariates(campaign: &Campaign, axes: [bool; 2]) -> Vec<String> {
         .collect()
 }
 
-/// Whether the field of a recording depends on a column: one that was set anew for each row varies like noise.
+/// Whether the field of a recording depends on a column, whose values may then vary like noise.
 fn moves_field(campaign: &Campaign, column: &str) -> bool {
-    let mut recordings = campaign.recordings.iter();
-    recordings.any(|recording| recording.noise.covariates.iter().any(|own| own == column))
+    campaign.recordings.iter().any(|recording| recording.noise.follows(column))
 }
 
 /// Minimum ratio of a column's standard deviation to its noise.

@@ -1,7 +1,7 @@
 //! Forward selection of effects by cross-validated error, separation of equivalent effects, and backward
 //! elimination.
 
-use crate::diagnose::candidate_fit::{best_candidate, best_pair, recording_count};
+use crate::diagnose::candidate_fit::{best_candidate, best_pair};
 use crate::diagnose::candidates::{MIN_GAIN, screen};
 use crate::diagnose::confusable_effects::{Collinearity, Similarity};
 use crate::diagnose::observer::Observer;
@@ -38,7 +38,7 @@ pub fn forward_selection(
 ) -> Result<Selection> {
     let mut selection = Selection {
         steps: Vec::new(),
-        stand_ins: Vec::new(),
+        implausible: Vec::new(),
         unconfirmed: Vec::new(),
         stages: vec![FittedModel::new(
             prepared,
@@ -65,9 +65,9 @@ pub fn forward_selection(
         }
         let stage = &selection.stages[selection.stages.len() - 1];
         observer.stage("fitting candidates", FITTING);
-        let mut stand_ins = std::mem::take(&mut selection.stand_ins);
-        let best = best_candidate(prepared, stage, &around, &selection, options, &mut stand_ins)?;
-        selection.stand_ins = stand_ins;
+        let mut implausible = std::mem::take(&mut selection.implausible);
+        let best = best_candidate(prepared, stage, &around, &selection, options, &mut implausible)?;
+        selection.implausible = implausible;
         let excess = 1.0 - stage.floors().powi(-2);
         let attributed = selection.attributed.first().map_or(0.0, |(_, share)| *share);
         let is_named = |gain: f64| attributed <= ATTRIBUTED || gain >= SMALL * attributed * excess;
@@ -161,13 +161,9 @@ pub fn eliminate_backward(
             place += 1;
             continue;
         }
-        let mut stages = Vec::new();
-        for stage in &selection.stages[place + 2..selection.stages.len() - 1] {
-            stages.push(FittedModel::new(prepared, without(stage), split, options)?);
-        }
-        stages.push(simpler);
-        selection.stages.truncate(place + 1);
-        selection.stages.extend(stages);
+        let removed = std::slice::from_ref(chosen);
+        selection.stages =
+            selection.stages_without((place, removed), simpler, prepared, options)?;
         selection.steps.remove(place);
     }
     Ok(())
@@ -229,7 +225,7 @@ fn exchange(prepared: &FitSetup, selection: &mut Selection, options: FitOptions)
     let split = prepared.split(&[&last.effects[..], &fit.effects].concat());
     let old = last.clone().with_split(prepared, split, options);
     let new = FittedModel::new(prepared, fit.effects, split, options)?;
-    let recordings = recording_count(prepared);
+    let recordings = prepared.recordings();
     if !new.is_distinguishably_better(&old)
         || !new.is_possible(recordings)
         || !new.is_plausible(&other, recordings)
@@ -318,7 +314,7 @@ fn resolve_step(
     place: usize,
     options: FitOptions,
 ) -> Result<()> {
-    let recordings = recording_count(prepared);
+    let recordings = prepared.recordings();
     let collinearity = selection.collinearity;
     let (Some(last), step) = (selection.stages.last(), &mut selection.steps[place]) else {
         return Ok(());

@@ -161,8 +161,8 @@ pub enum Reason {
     DriftsWithTime,
     /// It fits part of a residual with another cause.
     OtherCause,
-    /// It only fits with an implausible magnitude: it imitates another cause.
-    StandIn,
+    /// It only fits with a magnitude that is implausible, negligible or not determined.
+    Implausible,
     /// Significant by itself, but not in a full fit.
     Unconfirmed,
     /// Much more than noise is unexplained; the covariate that it follows most, if any.
@@ -240,7 +240,7 @@ pub struct Verdict {
     /// Other effects, each with the share of its pattern on these recordings that this one reproduces, largest first.
     pub reproduces: Vec<(String, f64)>,
     /// Excess of the held-out force error over its noise with this effect, in newtons: of an accepted effect that of its step, of others
-    /// as the linearised model predicts it beside the accepted ones. `None` where the force error was not computed, or the effect is
+    /// as the linearised model predicts it next to the accepted ones. `None` where the force error was not computed, or the effect is
     /// equivalent to an accepted one.
     pub excess_n: Option<f64>,
     /// Reduction of the cross-validated squared error, as a fraction.

@@ -416,7 +416,7 @@ impl Planner<'_> {
         let with_last = questions.iter().any(is_presence).then(|| {
             let mut setup = self.setup.with_rows(self.rows(plan, sensors, |rows| rows / max_rows));
             let model = extended(&setup, self.last);
-            let planned = self.setup.rows.first().map_or(0, |rows| rows.parts.len());
+            let planned = self.setup.recordings();
             set_fields(&mut setup, &model, planned);
             (setup, model)
         });
@@ -460,7 +460,7 @@ impl Planner<'_> {
         }
         let truth = extended(&setup, truth);
         set_fields(&mut setup, &truth, 0);
-        let recorded = self.setup.rows.first().map_or(0, |rows| rows.parts.len());
+        let recorded = self.setup.recordings();
         let rival = extended(&setup, rival);
         let test = ScoreTest::new(&setup, &rival.effects, &rival.fit, self.block_s);
         let difference =

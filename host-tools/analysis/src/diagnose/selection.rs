@@ -42,8 +42,24 @@ pub struct AcceptedStep {
     pub form_gain: f64,
 }
 
-/// An effect that lowers the error in every fold with a magnitude that it cannot have: another cause that it imitates.
-pub struct StandIn {
+impl AcceptedStep {
+    /// Of a candidate in `model` that `before` did not have; nothing is equivalent to it.
+    pub fn new(screened: &ScreenedEffect, model: &FittedModel, before: &FittedModel) -> Self {
+        Self {
+            chosen: screened.candidate.clone(),
+            tied: Vec::new(),
+            shadows: Vec::new(),
+            gain: model.gain(before),
+            reduction: before.mean_square() - model.mean_square(),
+            p_adjusted: screened.p_adjusted,
+            z_typical: screened.evidence.z_typical,
+            form_gain: 0.0,
+        }
+    }
+}
+
+/// A fit of an effect that lowers the error in every fold, with a magnitude that the effect cannot have or that is not determined.
+pub struct ImplausibleFit {
     /// The effect.
     pub effect: EffectTerm,
     /// Its magnitude in the fit.
@@ -56,8 +72,8 @@ pub struct StandIn {
 pub struct Selection {
     /// Accepted steps.
     pub steps: Vec<AcceptedStep>,
-    /// Effects that only fit with an implausible magnitude, each once.
-    pub stand_ins: Vec<StandIn>,
+    /// Fits that lower the error with an implausible magnitude, the last of each effect.
+    pub implausible: Vec<ImplausibleFit>,
     /// Steps accepted on the sample that reduce the error of all rows by nothing.
     pub unconfirmed: Vec<AcceptedStep>,
     /// Models from the first to the last step.
@@ -120,6 +136,33 @@ impl Selection {
         of_steps.chain(of_formulas).zip(gains).for_each(|(gain, of_all_rows)| *gain = of_all_rows);
     }
 
+    /// The models without the step of this index, which added `removed`: `last` is the last of them, those between are fitted again.
+    ///
+    /// # Errors
+    /// A fit fails.
+    pub fn stages_without(
+        &self,
+        (place, removed): (usize, &[EffectTerm]),
+        last: FittedModel,
+        setup: &FitSetup,
+        options: FitOptions,
+    ) -> Result<Vec<FittedModel>> {
+        let (mut stages, later) = (self.stages[..=place].to_vec(), &self.stages[place + 1..]);
+        if let [_, between @ .., _] = later {
+            for stage in between {
+                let effects = stage.effects.iter().filter(|effect| !removed.contains(effect));
+                stages.push(FittedModel::new(
+                    setup,
+                    effects.cloned().collect(),
+                    last.fit.split,
+                    options,
+                )?);
+            }
+            stages.push(last);
+        }
+        Ok(stages)
+    }
+
     /// The steps of which `candidate` explains only another form: other forms explain nearly as much of the residual, or the two
     /// effects are similar.
     pub fn forms(&self, candidate: &ScreenedEffect) -> impl Iterator<Item = &AcceptedStep> {
@@ -138,7 +181,7 @@ pub const DISTINGUISHABLE: f64 = 0.005;
 const MAX_EXCESS: f64 = 0.1;
 
 /// Minimum share of the excess over the noise that a step removes. Less is statistical significance without relevance.
-pub const MIN_RELEVANT: f64 = 0.05;
+const MIN_RELEVANT: f64 = 0.05;
 
 /// Minimum plausible magnitude relative to the typical one.
 const MIN_MAGNITUDE: f64 = 0.03;
@@ -254,6 +297,11 @@ impl FittedModel {
         pairs
             .filter(|(_, old)| old.rows() > 0)
             .all(|(new, old)| new.mean_square() <= (1.0 + DISTINGUISHABLE) * old.mean_square())
+    }
+
+    /// Whether the error is lower than that of `before`, in every fold and by a relevant share.
+    pub fn improves(&self, before: &Self) -> bool {
+        self.improves_all_folds(before) && self.gain(before) > MIN_GAIN && self.is_relevant(before)
     }
 
     /// Whether it removes a relevant share of what `before` leaves beyond the noise.

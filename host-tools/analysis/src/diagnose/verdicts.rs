@@ -191,20 +191,22 @@ fn of_rest(
         (VerdictKind::Absent, Reason::BelowBound((100.0 * evidence.bound).ceil() / 100.0))
     };
     let record = if kind == VerdictKind::Absent { String::new() } else { record };
-    if let Some(stand_in) = selection.stand_ins.iter().find(|of| of.effect == *effect) {
-        let EffectSize { value, std_error, size, .. } = &stand_in.size;
+    // What the accepted effects and formulas explain needs no other name.
+    let implausible = selection.implausible.iter().filter(|_| screened.is_significant());
+    if let Some(fit) = implausible.into_iter().find(|of| of.effect == *effect) {
+        let EffectSize { value, std_error, unit, size, .. } = &fit.size;
         return Verdict {
             provisional: !complete,
-            gain: stand_in.gain,
+            gain: fit.gain,
             p_adjusted: screened.p_adjusted,
             value: *value,
             std_error: *std_error,
-            unit: size.unit.to_owned(),
+            unit: unit.to_string(),
             z_typical: evidence.z_typical,
-            implausible: Some(size.plausible),
+            implausible: (!fit.size.is_plausible()).then_some(size.plausible),
             ..of_unjudged(&UntestableEffect {
                 effect: effect.name().to_owned(),
-                reason: Reason::StandIn,
+                reason: Reason::Implausible,
                 record: String::new(),
             })
         };

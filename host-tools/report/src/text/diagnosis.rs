@@ -747,10 +747,14 @@ pub fn reason(verdict: &Verdict) -> String {
             "the residual drifts with time more freely than this effect can".to_owned()
         }
         Reason::OtherCause => "it fits part of a residual with another cause".to_owned(),
-        Reason::StandIn => format!(
-            "it lowers the error by {:.1} %, but only with {}: another cause that it imitates",
+        Reason::Implausible => format!(
+            "it lowers the error by {:.1} %, but only with {}, {}",
             100.0 * verdict.gain,
-            value(verdict.value, verdict.std_error, &verdict.unit)
+            value(verdict.value, verdict.std_error, &verdict.unit),
+            match verdict.implausible {
+                Some(_) => "so the cause is another one",
+                None => "which is negligible or not determined",
+            }
         ),
         Reason::Unconfirmed => {
             "the score test is significant, but no fit with it lowers the held-out error in every fold, with a plausible magnitude"
@@ -811,8 +815,9 @@ pub fn short_reason(verdict: &Verdict) -> String {
         Reason::FormOf(effect) => format!("form of {effect}"),
         Reason::DriftsWithTime => "drifts with time".to_owned(),
         Reason::OtherCause => "has another cause".to_owned(),
-        Reason::StandIn => {
-            format!("stand-in: {}", value(verdict.value, verdict.std_error, &verdict.unit))
+        Reason::Implausible => {
+            let word = if verdict.implausible.is_some() { "implausible" } else { "undetermined" };
+            format!("{word}: {}", value(verdict.value, verdict.std_error, &verdict.unit))
         }
         Reason::Unconfirmed => "not confirmed by a fit".to_owned(),
         Reason::UnexplainedResidual(_) => "much is unexplained".to_owned(),

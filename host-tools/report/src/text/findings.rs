@@ -74,14 +74,6 @@ pub fn message(finding: &Finding) -> String {
                 digits(*duration_s),
             )
         }
-        Evidence::Overlap { recordings: [first, second], by_s, pairs } => format!(
-            "recording {second} begins {} s before recording {first} ends{}: one gripper has one recording at a time; correct start_s, or remove copies and parts of one recording: they are no independent recordings",
-            digits(*by_s),
-            match pairs {
-                1 => String::new(),
-                more => format!(", the first of {more} overlaps"),
-            }
-        ),
         Evidence::Wrapped { columns, worst, rows, of, counts, offset } => format!(
             "{} wrapped by {counts} counts: {rows} of {of} values of {worst} are off by {}, the range of an integer, which is no saturation; add {} to them, and correct the driver (two's complement)",
             columns_in(columns),

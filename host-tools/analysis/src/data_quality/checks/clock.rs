@@ -4,9 +4,8 @@ use crate::data_quality::checks::{Channel, CheckContext, Found};
 use crate::data_quality::evidence::Evidence;
 use crate::data_quality::fix::{Change, Fix, FixKind, Repair};
 use crate::data_quality::scan::column::Quantity;
-use crate::data_quality::scan::{RecordingScan, Repeats, TableScan};
+use crate::data_quality::scan::{Repeats, TableScan};
 use model_export::recordings::Location;
-use model_export::recordings::description::RECORDING_FILE;
 
 /// Timestamps that decrease, an error for the readers.
 pub fn backwards<'a>(context: &CheckContext<'a>) -> Vec<Found<'a>> {
@@ -91,38 +90,6 @@ fn unit_of<'a>(context: &CheckContext<'a>, name: &str) -> Option<Found<'a>> {
         duration_s: first.clock.span_s(),
     };
     Some(Found::new(Location::file(&first.path).column("t_us"), evidence))
-}
-
-/// Share of a recording that may lie in the next one: clocks and starts are rounded.
-const OVERLAP: f64 = 0.02;
-
-/// Recordings of one gripper at the same time, by their starts.
-pub fn overlaps<'a>(context: &CheckContext<'a>) -> Vec<Found<'a>> {
-    let hall = |scan: &'a RecordingScan| scan.table("hall.csv");
-    let mut spans: Vec<(f64, f64, &RecordingScan)> = context
-        .recordings
-        .iter()
-        .filter_map(|scan| {
-            let clock = &hall(scan)?.clock;
-            let start_s = scan.start_s? + 1e-6 * clock.first_us;
-            Some((start_s, start_s + clock.span_s(), scan))
-        })
-        .collect();
-    spans.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let is_overlap = |pair: &&[(f64, f64, &RecordingScan)]| {
-        let [(start_s, end_s, _), (next_s, next_end_s, _)] = pair else { return false };
-        let least_s = OVERLAP * (end_s - start_s).min(next_end_s - next_s);
-        end_s - next_s > least_s
-    };
-    let pairs: Vec<_> = spans.windows(2).filter(is_overlap).collect();
-    let Some([(_, end_s, first), (next_s, _, second)]) = pairs.first() else { return Vec::new() };
-    let evidence = Evidence::Overlap {
-        recordings: [first.name.clone(), second.name.clone()],
-        by_s: end_s - next_s,
-        pairs: pairs.len(),
-    };
-    let place = Location::file(&second.folder.join(RECORDING_FILE)).column("start_s");
-    vec![Found::new(place, evidence)]
 }
 
 /// Timestamp steps far above the sampling period.

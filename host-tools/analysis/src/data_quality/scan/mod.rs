@@ -29,8 +29,6 @@ pub struct RecordingScan {
     pub folder: PathBuf,
     /// Readable tables: the board's, the reference's.
     pub tables: Vec<TableScan>,
-    /// Start in the campaign in seconds; `None` where it is assumed.
-    pub start_s: Option<f64>,
 }
 
 impl RecordingScan {
@@ -50,10 +48,6 @@ impl RecordingScan {
                 .file_name()
                 .map_or_else(String::new, |name| name.to_string_lossy().into_owned()),
             folder: folder.to_path_buf(),
-            start_s: description
-                .as_ref()
-                .filter(|found| !found.is_start_assumed())
-                .map(|found| found.start_s),
             tables: ["hall.csv", "force.csv"].into_iter().filter_map(read).collect(),
         }
     }

@@ -238,7 +238,7 @@ pub fn equivalent_formulas(
     Ok(found.formulas)
 }
 
-/// Removes the effects and formulas that the last model does not need: beside all others they remove nothing relevant.
+/// Removes the effects and formulas that the last model does not need: next to all others they remove nothing relevant.
 fn remove_needless(
     setup: &FitSetup,
     selection: &mut Selection,
@@ -256,24 +256,14 @@ fn remove_needless(
             None => vec![selection.steps[place].chosen.clone()],
             Some(formula) => formulas[formula].effects.clone(),
         };
-        let others = |model: &FittedModel| -> Vec<EffectTerm> {
-            model.effects.iter().filter(|effect| !removed.contains(effect)).cloned().collect()
-        };
-        let split = last.fit.split;
-        let without = FittedModel::new(setup, others(last), split, options)?;
+        let others = last.effects.iter().filter(|effect| !removed.contains(effect)).cloned();
+        let without = FittedModel::new(setup, others.collect(), last.fit.split, options)?;
         let is_needed = last.gain(&without) > MIN_KEPT && last.is_relevant(&without);
         if is_needed {
             place += 1;
             continue;
         }
-        let last = selection.stages.len() - 1;
-        let mut stages = selection.stages[..=place].to_vec();
-        for stage in selection.stages.get(place + 2..last).unwrap_or_default() {
-            stages.push(FittedModel::new(setup, others(stage), split, options)?);
-        }
-        stages.push(without);
-        stages.truncate(selection.stages.len() - 1);
-        selection.stages = stages;
+        selection.stages = selection.stages_without((place, &removed), without, setup, options)?;
         match place.checked_sub(selection.steps.len()) {
             None => drop(selection.steps.remove(place)),
             Some(formula) => drop(formulas.remove(formula)),
@@ -367,8 +357,7 @@ impl<'a> FormulaSearch<'a> {
             let Ok(next) = self.fitted(start, &all) else {
                 break;
             };
-            let is_relevant = next.gain(&model) >= MIN_GAIN && next.is_relevant(&model);
-            if !is_relevant || !next.improves_all_folds(&model) {
+            if next.gain(&model) < MIN_GAIN || !next.improves(&model) {
                 break;
             }
             (accepted, model) = (all, next);
