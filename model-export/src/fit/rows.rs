@@ -232,7 +232,7 @@ impl SensorRows {
         self
     }
 
-    /// Axes that are copies of an earlier one: a sensor of one or two axes has its first in the place of each that it lacks.
+    /// Axes that are copies of an earlier one: a sensor of one or two axes has its first in the place of each missing one.
     pub fn copied_axes(&self) -> [bool; 3] {
         let is_copy = |axis: usize, of: usize| {
             let mut fields = self.parts.iter().flat_map(|part| &part.field_g);

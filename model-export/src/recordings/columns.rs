@@ -270,7 +270,7 @@ impl ChannelLayout {
     }
 
     /// Channels of the three axes of a sensor in [`ChannelLayout::hall`]. A sensor of one or two axes has its first one in the place
-    /// of each that it lacks.
+    /// of each missing one.
     pub fn field_channels(&self, sensor: u32) -> Option<[usize; 3]> {
         let channel = |of_axis: Axis| {
             self.hall.iter().position(|column| {

@@ -93,7 +93,7 @@ const STANDARD_ERRORS: f64 = 3.0;
 /// Ratio of the variance of successive differences to twice the variance (von Neumann 1941) from which a column has no order: 1 for
 /// independent values, near zero for smooth ones.
 const UNORDERED: f64 = 0.7;
-/// Share of the field's variance that a smooth explains, from which the order of the settings is judged.
+/// Share of the field's variance that a smooth explains, from which the order of the settings is evaluated.
 const FOLLOWS_SETTINGS: f64 = 0.3;
 /// Squared differences above this multiple of their expectation are cut off: disturbances.
 const CUT_OFF: f64 = 16.0;

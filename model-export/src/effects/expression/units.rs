@@ -65,7 +65,7 @@ impl Expression {
             self.ranges.iter().map(|range| 0.5 * (range.from + range.to)).collect();
         let term = |at: f64| {
             let values = (0..self.inputs.len()).map(|i| {
-                // Irrational, so that no term is zero by chance.
+                // Irrational, so that no term vanishes.
                 super::Values::Same(if i == place { at } else { std::f64::consts::SQRT_2 })
             });
             self.evaluate(&coefficients, &shapes, &values.collect::<Vec<_>>()).at(0)

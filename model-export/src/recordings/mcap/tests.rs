@@ -135,7 +135,7 @@ fn topics_are_joined_by_time() {
 }
 
 #[test]
-fn shift_of_a_second_sensor_is_interpolated_and_told() {
+fn shift_of_a_second_sensor_is_interpolated_and_stated() {
     // 200 Hz, the second 3 ms later; an angle that wraps.
     let rows: Vec<f64> = (0..50).map(|row| 5e6 * f64::from(row)).collect();
     let later: Vec<f64> = rows.iter().map(|time| time + 3e6).collect();

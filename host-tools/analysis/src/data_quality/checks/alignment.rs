@@ -41,7 +41,7 @@ const EXPLAINED: f64 = 0.5;
 /// Minimum share of the error above the noise that the alignment removes: friction and creep are no delays. Of all forces, and of
 /// each one.
 const FALLS: [f64; 2] = [0.7, 0.5];
-/// Share of a force's variance that a misalignment must leave for that force to be judged by itself.
+/// Share of a force's variance that a misalignment must leave for that force to be evaluated by itself.
 const LEAST_LEFT: f64 = 0.02;
 
 /// Fields and forces of one recording.
