@@ -37,6 +37,8 @@ pub enum RequestKind {
     Arm,
     /// End of the session.
     EndSession,
+    /// That the owner is still there.
+    RenewSession,
     /// A command.
     Command,
     /// Clear latched faults.
@@ -87,7 +89,7 @@ const AT_REST: [bool; 3] = [false, false, true];
 const UNLOADED_AT_REST: [bool; 3] = [false; 3];
 
 /// The rules, in the order of [`RequestKind`].
-pub const RULES: [Rule; 17] = [
+pub const RULES: [Rule; 18] = [
     rule(RequestKind::Stop, Authority::Anyone, YES),
     rule(RequestKind::Read, Authority::Anyone, YES),
     rule(RequestKind::ReportMotion, Authority::Anyone, YES),
@@ -95,6 +97,7 @@ pub const RULES: [Rule; 17] = [
     rule(RequestKind::OpenSession, Authority::KeyHolder, YES),
     rule(RequestKind::Arm, Authority::KeyHolder, YES),
     rule(RequestKind::EndSession, Authority::Owner, YES),
+    rule(RequestKind::RenewSession, Authority::Owner, YES),
     rule(RequestKind::Command, Authority::Owner, YES),
     rule(RequestKind::ClearFaults, Authority::Owner, YES),
     rule(RequestKind::Tare, Authority::Owner, UNLOADED_AT_REST),
@@ -141,6 +144,7 @@ impl RequestKind {
             op::OPEN => Self::OpenSession,
             op::ARM => Self::Arm,
             op::END => Self::EndSession,
+            op::RENEW => Self::RenewSession,
             op::CLEAR_FAULTS => Self::ClearFaults,
             op::TARE => Self::Tare,
             op::MEASURE => Self::Measure,
@@ -226,6 +230,7 @@ mod tests {
             (service(op::OPEN, 0), KeyHolder, [true; 3]),
             (service(op::ARM, 0), KeyHolder, [true; 3]),
             (service(op::END, 0), Owner, [true; 3]),
+            (service(op::RENEW, 0), Owner, [true; 3]),
             (Message::Command(Command::default()), Owner, [true; 3]),
             (service(op::CLEAR_FAULTS, 0), Owner, [true; 3]),
             (service(op::TARE, 0), Owner, [false; 3]),

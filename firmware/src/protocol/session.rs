@@ -75,6 +75,9 @@ pub mod op {
     pub const WRITE_KEY: u8 = 14;
     /// Erase the key, which ends the session.
     pub const ERASE_KEY: u8 = 15;
+    /// Prove that the owner is still there, and nothing else: an upload and a measurement take longer than a session lasts
+    /// without a valid request.
+    pub const RENEW: u8 = 16;
 }
 
 /// Status of a service reply.
@@ -466,6 +469,7 @@ impl Session {
                 self.close();
                 reply(&message, status::DONE)
             }
+            (Message::Service(Service { op: op::RENEW, .. }), _) => reply(&message, status::DONE),
             _ => SessionEvent::Other(message),
         }
     }
@@ -906,6 +910,20 @@ mod tests {
         assert!(!pair.gripper.is_armed() && pair.gripper.is_silent(21 + EXPIRY_MS));
         pair.open(30 + EXPIRY_MS, op::ARM);
         assert!(!pair.gripper.is_silent(31 + EXPIRY_MS));
+    }
+
+    #[test]
+    fn session_is_renewed_by_its_owner_only() {
+        let mut pair = Pair::opened(op::OPEN, 0);
+        assert_eq!(
+            status_of(pair.send(EXPIRY_MS - 1, service(op::RENEW))),
+            Some(status::UNAUTHENTICATED)
+        );
+        assert_eq!(status_of(pair.send_sealed(EXPIRY_MS, service(op::RENEW))), Some(status::DONE));
+        pair.gripper.expire(2 * EXPIRY_MS);
+        assert!(pair.gripper.mac().is_some());
+        pair.gripper.expire(2 * EXPIRY_MS + 1);
+        assert!(pair.gripper.mac().is_none());
     }
 
     #[test]

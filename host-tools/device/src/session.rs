@@ -20,6 +20,9 @@ const PERIOD: Duration = Duration::from_millis(20);
 const REQUEST: Duration = Duration::from_millis(250);
 const REQUESTS: Duration = Duration::from_millis(TAKEOVER_MS + 2000);
 
+/// Silence after which an owner renews its session: before another host can take it over.
+const RENEWAL: Duration = Duration::from_millis(TAKEOVER_MS / 2);
+
 /// What a host needs for a session with a gripper.
 #[derive(Clone, Copy, Debug)]
 pub struct Credentials {
@@ -34,10 +37,12 @@ impl Credentials {
     pub const UNPROTECTED: Self = Self { node: firmware::protocol::DEFAULT_NODE, key: Key::NONE };
 }
 
-/// A connection in a session without motion: requests that need a code get one.
+/// A connection in a session without motion: requests that need a code get one, and the session is renewed while it is read.
 pub struct SessionSource<'s> {
     source: &'s mut dyn Source,
     session: HostSession,
+    /// Time of the latest request with a code.
+    sealed: Duration,
 }
 
 impl SessionSource<'_> {
@@ -70,6 +75,7 @@ impl SessionSource<'_> {
                     }
                 }
                 if self.session.is_open() {
+                    self.sealed = self.source.now();
                     return Ok(());
                 }
                 if !goes_on {
@@ -92,12 +98,18 @@ impl SessionSource<'_> {
 
 impl Source for SessionSource<'_> {
     fn receive(&mut self, packets: &mut Vec<Packet>) -> Result<bool> {
+        if self.source.now() > self.sealed + RENEWAL {
+            self.send(service(op::RENEW, 0))?;
+        }
         self.source.receive(packets)
     }
 
     fn send(&mut self, message: Message) -> Result<()> {
         match self.session.seal(message).filter(|_| needs_owner(&message)) {
-            Some(sealed) => sealed.into_iter().try_for_each(|message| self.source.send(message)),
+            Some(sealed) => {
+                self.sealed = self.source.now();
+                sealed.into_iter().try_for_each(|message| self.source.send(message))
+            }
             None => self.source.send(message),
         }
     }
@@ -128,7 +140,8 @@ pub fn with_session<T>(
     Credentials { node, key }: Credentials,
     work: impl FnOnce(&mut SessionSource<'_>) -> Result<T>,
 ) -> Result<T> {
-    let mut session = SessionSource { source, session: HostSession::new(node, key) };
+    let mut session =
+        SessionSource { source, session: HostSession::new(node, key), sealed: Duration::ZERO };
     session.open()?;
     let result = work(&mut session);
     let ended =
@@ -408,8 +421,63 @@ pub const fn session_refusal(code: u8) -> &'static str {
 mod tests {
     use firmware::grip::commands::CommandRefusal;
     use firmware::grip::states::{PowerState, TaskState, state_code};
+    use firmware::protocol::session::{EXPIRY_MS, Session, SessionEvent};
+    use firmware::protocol::{SERIAL, frame_id};
 
     use super::*;
+
+    /// The session of a gripper at the end of a line, in virtual time.
+    struct Gripper {
+        session: Session,
+        now_ms: u64,
+        replies: Vec<Packet>,
+    }
+
+    impl Source for Gripper {
+        fn receive(&mut self, packets: &mut Vec<Packet>) -> Result<bool> {
+            self.now_ms += 20;
+            self.session.expire(self.now_ms);
+            packets.append(&mut self.replies);
+            Ok(true)
+        }
+
+        fn send(&mut self, message: Message) -> Result<()> {
+            let id = frame_id(Credentials::UNPROTECTED.node, message.number());
+            let frame = (id, &message.to_bytes()[..]);
+            let event = self.session.receive(self.now_ms, SERIAL, frame, || Some(7));
+            if let SessionEvent::Reply(message) = event {
+                self.replies.push(Packet::Message { copy: 0, message });
+            }
+            Ok(())
+        }
+
+        fn broken(&self) -> u32 {
+            0
+        }
+
+        fn name(&self) -> String {
+            "gripper".to_owned()
+        }
+
+        fn now(&self) -> Duration {
+            Duration::from_millis(self.now_ms)
+        }
+    }
+
+    #[test]
+    fn long_work_keeps_the_session() {
+        let Credentials { node, key } = Credentials::UNPROTECTED;
+        let session = Session::new(node, key, 100);
+        let mut gripper = Gripper { session, now_ms: 5, replies: Vec::new() };
+        let code = with_session(&mut gripper, Credentials::UNPROTECTED, |source| {
+            while source.now() < Duration::from_millis(3 * EXPIRY_MS) {
+                source.receive(&mut Vec::new())?;
+            }
+            Ok(source.digest().map(DataMac::finish))
+        });
+        assert!(code.unwrap().is_some());
+        assert_eq!(gripper.session.dropped().all(), 0);
+    }
 
     #[test]
     fn refusal_names_reason_and_state() {

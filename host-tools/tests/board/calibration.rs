@@ -42,7 +42,6 @@ fn an_uploaded_calibration_runs_and_is_described() {
     dir.stdout(&["add", &demo, &campaign("demo"), "neighbour_magnet", "-o", "effect.toml"]);
     let uploaded = dir.json(&format!("upload effect.toml --port {line} --json"));
     assert_eq!(uploaded["running"], true);
-    assert!(uploaded["seconds"].as_f64() < Some(10.0), "{uploaded}");
     let second = shown(&dir, &line);
     let calibration = &second["calibration"];
     assert_eq!(calibration["slot"], 0);

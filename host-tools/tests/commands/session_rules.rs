@@ -48,6 +48,7 @@ const fn name(kind: RequestKind) -> &'static str {
         RequestKind::OpenSession => "open a session without motion (13)",
         RequestKind::Arm => "open a session with motion (5)",
         RequestKind::EndSession => "end the session (12)",
+        RequestKind::RenewSession => "keep the session open (16)",
         RequestKind::Command => "command",
         RequestKind::ClearFaults => "clear faults (1)",
         RequestKind::Tare => "tare (2)",

@@ -254,6 +254,8 @@ enum Verdict {
     Opened(u8),
     /// The session ended.
     Ended,
+    /// It goes on.
+    Renewed,
     /// A refused service, with its status.
     Refused(u8),
     /// A refused parameter.
@@ -286,6 +288,7 @@ impl Verdict {
                 }
                 (op::ARM | op::OPEN, status::DONE) => Self::Opened(reply.op),
                 (op::END, status::DONE) => Self::Ended,
+                (op::RENEW, status::DONE) => Self::Renewed,
                 (_, status) => Self::Refused(status),
             },
             SessionEvent::Reply(other) => panic!("no reply: {other:?}"),
@@ -415,7 +418,7 @@ impl Reference {
             op::VERSION | op::DESCRIPTION => Verdict::Other,
             op::ARM | op::OPEN => self.begin(now, source, id, data, random),
             op::WRITE_KEY | op::ERASE_KEY => self.writes_key(now, source, id, data),
-            op::COMMAND | 0 | 16.. => Verdict::Refused(status::UNKNOWN),
+            op::COMMAND | 0 | 17.. => Verdict::Refused(status::UNKNOWN),
             op => {
                 if !self.is_owner(now, source, id, data) {
                     self.drop(now);
@@ -424,6 +427,9 @@ impl Reference {
                 if op == op::END {
                     self.close();
                     return Verdict::Ended;
+                }
+                if op == op::RENEW {
+                    return Verdict::Renewed;
                 }
                 Verdict::Other
             }
