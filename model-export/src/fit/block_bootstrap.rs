@@ -12,6 +12,7 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::fit::rows::SensorRows;
 use crate::fit::tall_products::{columns, gram, products};
+use crate::recordings::noise::autocorrelation_rows;
 
 /// Contribution of a block of rows to the normal equations `H = J'J` and `g = J'r`.
 #[derive(Clone, Debug)]
@@ -100,33 +101,6 @@ pub fn block_length_s(
     ((3.0 * longest_s).max(shortest_s).min(duration_s / MIN_BLOCKS as f64), longest_s)
 }
 
-/// Integrated autocorrelation time of evenly spaced values, in rows: 1 for white noise.
-///
-/// The sum over lags stops at five times its own value (Sokal's window).
-pub fn autocorrelation_rows(values: &[f64]) -> f64 {
-    let n = values.len();
-    if n < 2 {
-        return 1.0;
-    }
-    let mean = values.iter().sum::<f64>() / n as f64;
-    let at_lag = |lag: usize| -> f64 {
-        let pairs = values.iter().zip(&values[lag..]);
-        pairs.map(|(a, b)| (a - mean) * (b - mean)).sum::<f64>() / n as f64
-    };
-    let variance = at_lag(0);
-    if variance <= 0.0 {
-        return 1.0;
-    }
-    let mut time = 1.0;
-    for lag in 1..n / 2 {
-        time += 2.0 * at_lag(lag) / variance;
-        if lag as f64 >= 5.0 * time {
-            break;
-        }
-    }
-    time.max(1.0)
-}
-
 /// Covariance of the sum of scores, autocorrelation included.
 pub fn score_covariance(blocks: &[Block]) -> DMatrix<f64> {
     let size = blocks.first().map_or(0, |block| block.score.len());
@@ -211,16 +185,6 @@ mod tests {
                 state
             })
             .collect()
-    }
-
-    #[test]
-    fn correlation_time_of_a_first_order_process_is_exact() {
-        let mut rng = ChaCha8Rng::seed_from_u64(3);
-        // (1 + a) / (1 - a) = 19 rows at a = 0.9.
-        let time = autocorrelation_rows(&first_order(&mut rng, 0.9, 100_000));
-        assert!((15.0..23.0).contains(&time), "{time}");
-        let white = autocorrelation_rows(&first_order(&mut rng, 0.0, 100_000));
-        assert!((1.0..1.2).contains(&white), "{white}");
     }
 
     #[test]

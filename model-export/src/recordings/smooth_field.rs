@@ -4,9 +4,9 @@
 use nalgebra::{DMatrix, DVector, Vector3};
 
 use crate::effects::operators;
-use crate::fit::block_bootstrap::autocorrelation_rows;
 use crate::recordings::Recording;
 use crate::recordings::columns::Axis;
+use crate::recordings::noise::autocorrelation_rows;
 
 /// Maximum number of terms.
 pub const MAX_TERMS: usize = 70;

@@ -21,7 +21,6 @@ use anyhow::Result;
 use model_export::effects::excitation::source_column;
 use model_export::effects::{EffectTerm, ExcitationSeries};
 use model_export::fit::FitOptions;
-use model_export::fit::block_bootstrap::autocorrelation_rows;
 use model_export::fit::campaign::FitSetup;
 use model_export::fit::joint::JointFit;
 use model_export::fit::rows::SensorRows;
@@ -29,6 +28,7 @@ use model_export::model_file::{ModelFile, Predictor};
 use model_export::recordings::Location;
 use model_export::recordings::align::Alignment;
 use model_export::recordings::columns::Axis;
+use model_export::recordings::noise::autocorrelation_rows;
 use std::borrow::Cow;
 use std::path::Path;
 
