@@ -47,7 +47,8 @@ pub fn run(args: &Args) -> Result<()> {
     common.write_report(&comparison, &[])?;
     if let Some(to) = &args.fix {
         let alignment = input.fit.align.alignment()?;
-        let check = |folder: &Path| setup_errors(&input.model, folder, alignment);
+        let check =
+            |folder: &Path| setup_errors(&input.model, folder, alignment, input.fit.options());
         for correction in fix::write(&input.campaign, &comparison.findings, to, check)? {
             common.print_line(&correction)?;
         }

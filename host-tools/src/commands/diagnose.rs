@@ -98,7 +98,7 @@ pub fn run(args: &Args) -> Result<()> {
     let options = input.fit.options();
     let alignment = input.fit.align.alignment()?;
     let scanned = ScannedCampaign::open(&input.campaign, alignment, Caching::Always)?;
-    let findings = setup_errors_of(&scanned, &model, &input.model)?;
+    let mut findings = setup_errors_of(&scanned, &model, &input.model)?;
     let is_stopped = findings.iter().any(|finding| finding.stops);
     let (diagnosis, refit) = match scanned.reader.as_ref().filter(|_| !is_stopped) {
         Some(reader) => {
@@ -126,6 +126,7 @@ pub fn run(args: &Args) -> Result<()> {
             )?;
             drop(observer);
             bar.finish();
+            findings.append(&mut diagnosis.findings);
             diagnosis.findings.clone_from(&findings);
             let is_fitted_here = other_recordings.is_none();
             let delay_ms = alignment.delay_us / 1e3;

@@ -11,6 +11,7 @@ mod force_error;
 mod independent_campaigns;
 mod networks;
 mod orientation;
+mod recording_differences;
 mod setup_errors;
 #[path = "../workdir/mod.rs"]
 mod workdir;

@@ -15,6 +15,7 @@
 //! - [`initial_guess`]: grid search for the shape parameters of effects, least squares for their coefficients.
 //! - [`joint`]: all sensors together, with pooled shared parameters.
 //! - [`effect_size`]: magnitude of an effect over all sensors.
+//! - [`recording_differences`]: zeros, gains and places that differ between recordings.
 //! - [`score_test`]: test of a candidate effect without refitting.
 //! - [`campaign`]: from a campaign to its fits.
 
@@ -31,6 +32,7 @@ pub mod orientation;
 pub mod parameters;
 pub mod polynomial;
 pub mod problem;
+pub mod recording_differences;
 pub mod rows;
 pub mod score_test;
 pub mod sensor_fit;

@@ -93,6 +93,11 @@ impl CandidateScore {
         without - with
     }
 
+    /// Regressors of each sensor, orthogonal to the fitted columns.
+    pub fn regressors(&self) -> &[DMatrix<f64>] {
+        &self.orthogonal
+    }
+
     /// Number of folds in which the error falls.
     pub fn wins(&self) -> usize {
         self.folds.iter().filter(|(without, with)| with < without).count()

@@ -14,6 +14,7 @@ use crate::compare::{
 use crate::data_quality::campaign_checks::{campaign_findings, follows_field};
 use crate::data_quality::model_checks::SensorPrediction;
 use crate::data_quality::{Finding, check_against_model, merge};
+use crate::diagnose::recording_differences;
 use crate::noise_floor::NoiseSummary;
 use crate::notes::{Note, collect};
 use crate::progress;
@@ -48,17 +49,39 @@ pub fn compare(
 ) -> Result<Comparison> {
     let model = ModelFile::read(path)?;
     let scanned = ScannedCampaign::open(campaign, alignment, Caching::IfFew)?;
-    let findings = setup_errors_of(&scanned, &model, path)?;
+    let findings = with_differences(&scanned, &model, path, options)?;
     compare_scanned((path, &model), other, (scanned, findings), None, options)
 }
 
-/// Setup errors of a campaign, from its files and from the predictions of the model at `path`.
+/// Setup errors of a campaign, from its files, from the predictions of the model at `path`, and by what differs between recordings.
 ///
 /// # Errors
 /// A file cannot be read.
-pub fn setup_errors(path: &Path, campaign: &Path, alignment: Alignment) -> Result<Vec<Finding>> {
+pub fn setup_errors(
+    path: &Path,
+    campaign: &Path,
+    alignment: Alignment,
+    options: FitOptions,
+) -> Result<Vec<Finding>> {
     let model = ModelFile::read(path)?;
-    setup_errors_of(&ScannedCampaign::open(campaign, alignment, Caching::IfFew)?, &model, path)
+    let scanned = ScannedCampaign::open(campaign, alignment, Caching::IfFew)?;
+    with_differences(&scanned, &model, path, options)
+}
+
+/// [`setup_errors_of`] and what differs between the recordings of a campaign in memory, if nothing else stops an evaluation.
+fn with_differences(
+    scanned: &ScannedCampaign,
+    model: &ModelFile,
+    path: &Path,
+    options: FitOptions,
+) -> Result<Vec<Finding>> {
+    let mut findings = setup_errors_of(scanned, model, path)?;
+    let is_stopped = findings.iter().any(|finding| finding.stops);
+    let campaign = scanned.reader.as_ref().and_then(CampaignReader::cached);
+    if let Some(campaign) = campaign.filter(|_| !is_stopped) {
+        findings.extend(recording_differences::next_to(campaign, model, path, options)?);
+    }
+    Ok(findings)
 }
 
 /// [`setup_errors`] of a campaign that is already open.

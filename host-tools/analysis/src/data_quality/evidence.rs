@@ -1,5 +1,6 @@
 //! Evidence of the setup errors, as data.
 
+use model_export::fit::recording_differences::DifferenceCause;
 use model_export::recordings::dependence::DependenceKind;
 use serde::Serialize;
 
@@ -253,6 +254,21 @@ pub enum Evidence {
         /// Delay of the reference, in milliseconds, that aligns all recordings; `None` where they differ.
         delay_ms: Option<f64>,
     },
+    /// Recordings differ by a zero, a gain or a place that no covariate explains.
+    RecordingDifference {
+        /// What differs.
+        cause: DifferenceCause,
+        /// Name of the recording against which the others are compared.
+        reference: String,
+        /// Unit of the offsets.
+        unit: &'static str,
+        /// The differences.
+        offsets: Vec<RecordingOffset>,
+        /// Causes that explain as much.
+        equivalent: Vec<DifferenceCause>,
+        /// Residual without and with it, in noise floors, on rows that the regression did not use.
+        floors: [f64; 2],
+    },
     /// Constant offset between the two clocks, as a model shows it.
     ClockLag {
         /// Delay of the field after the force in milliseconds.
@@ -281,6 +297,19 @@ pub struct ClockOffset {
     pub rate_ppm: f64,
     /// Standard error of the rate; NaN where it was not estimated.
     pub rate_error_ppm: f64,
+}
+
+/// Difference of one recording from the first.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct RecordingOffset {
+    /// Name of the recording.
+    pub recording: String,
+    /// Column, or what differs.
+    pub quantity: String,
+    /// The difference.
+    pub value: f64,
+    /// Its standard error, by the scatter within the recordings.
+    pub std_error: f64,
 }
 
 /// Some recordings of a campaign.

@@ -48,6 +48,8 @@ pub enum FixKind {
     ReorderColumns,
     /// Moves the reference's times to the board's clock.
     AlignClock,
+    /// Gives the forces of all recordings one zero.
+    AlignZeros,
     /// Adds to values whose counts wrapped.
     Unwrap,
 }

@@ -13,6 +13,7 @@
 //! - [`formulas`]: formulas of the covariates, where the catalogue leaves structure.
 //! - [`observer`]: progress, first answer, early end.
 //! - [`verdicts`]: a verdict on every candidate.
+//! - [`recording_differences`]: zeros, gains and places that differ between recordings, before any effect.
 //! - [`recording_plan`]: the shortest recording that decides what is open.
 //! - [`recording_check`]: effects on which recordings can decide, before a diagnosis.
 //! - [`suggestions`]: the next command.
@@ -30,20 +31,21 @@ use crate::diagnose::recording_plan::{RecordingProposal, propose};
 use crate::diagnose::remaining_structure::RemainingStructure;
 pub use crate::diagnose::residuals::EffectShape;
 use crate::diagnose::residuals::{residuals_against, shapes};
-use crate::diagnose::selection::Selection;
+use crate::diagnose::selection::{FittedModel, Selection};
 pub use crate::diagnose::suggestions::{Suggestion, SuggestionKind};
 use crate::diagnose::verdicts::conclude;
 use crate::noise_floor::NoiseSummary;
 use anyhow::{Context, Result};
 use model_export::effects::{EffectTerm, find};
 use model_export::fit::FitOptions;
-use model_export::fit::campaign::SEARCH_ROWS;
+use model_export::fit::campaign::{FitSetup, SEARCH_ROWS};
 use model_export::fit::joint::JointFit;
 use model_export::inverse::compensation::{DeviceSupport, device_support};
 use model_export::model_file::{EffectModel, ModelFile, Provenance};
 use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
 use serde::Serialize;
+use std::borrow::Cow;
 use std::path::Path;
 
 pub mod candidate_fit;
@@ -53,6 +55,7 @@ pub mod formulas;
 pub mod forward_selection;
 pub mod observer;
 pub mod recording_check;
+pub mod recording_differences;
 pub mod recording_plan;
 pub mod remaining_structure;
 pub mod residuals;
@@ -60,6 +63,8 @@ pub mod selection;
 pub mod suggestions;
 pub mod verdicts;
 
+/// Fraction of the work that the comparison of the recordings takes.
+const DIFFERENCES: f64 = 0.05;
 /// Fraction of the remaining work that the last fits, to all rows, take.
 const ALL_ROWS: f64 = 0.7;
 /// Fraction of what then remains that the replays take.
@@ -385,6 +390,7 @@ impl Scope {
 /// Diagnoses which effects `model` (read from `path`) does not contain on `campaign`: those of the catalogue and the user's
 /// `own`. The campaign was read with `alignment`. `observer` receives the progress and can end it early. The second value is the fit of
 /// `model` to the campaign, where its cross-validation is that of a comparison.
+/// What differs between recordings without a covariate is a finding, and effects are sought on the recordings without it.
 ///
 /// # Errors
 /// A fit fails.
@@ -398,15 +404,45 @@ pub fn diagnose(
     observer: &Observer,
 ) -> Result<(Diagnosis, Option<ModelRefit>)> {
     observer.begin();
-    let prepared = model.fit_setup(campaign, options)?;
-    let sample = prepared.sampled_by_fold(SEARCH_ROWS);
+    let mut campaign = Cow::Borrowed(campaign);
+    let mut differences = Vec::new();
     let present: Vec<EffectTerm> = model.effect_terms(path)?;
+    // Next to the model, and next to what was found to be missing from it.
+    let mut is_corrected =
+        |campaign: &mut Cow<Campaign>, setup: &FitSetup, fitted: &FittedModel| {
+            observer.stage("comparing recordings", DIFFERENCES);
+            let found = match scope.catalogue && differences.is_empty() {
+                true => recording_differences::find(campaign, model, setup, fitted),
+                false => None,
+            };
+            let Some((findings, corrected)) = found else { return false };
+            differences = findings;
+            *campaign = Cow::Owned(corrected);
+            true
+        };
+    let mut prepared = model.fit_setup(&campaign, options)?;
+    let mut sample = prepared.sampled_by_fold(SEARCH_ROWS);
+    let first = FittedModel::without_validation(&sample, present.clone(), options)?;
+    if is_corrected(&mut campaign, &sample, &first) {
+        prepared = model.fit_setup(&campaign, options)?;
+        sample = prepared.sampled_by_fold(SEARCH_ROWS);
+    }
     let (testable, untestable) = match scope.catalogue {
-        true => candidates(campaign, Some(model), &present, own),
+        true => candidates(&campaign, Some(model), &present, own),
         false => (own.to_vec(), Vec::new()),
     };
-    let mut selection =
-        forward_selection(campaign, (&sample, &prepared), &present, &testable, options, observer)?;
+    let select = |campaign: &Campaign, sample: &FitSetup, prepared: &FitSetup| {
+        forward_selection(campaign, (sample, prepared), &present, &testable, options, observer)
+    };
+    let mut selection = select(&campaign, &sample, &prepared)?;
+    if let Some(last) = selection.stages.last()
+        && is_corrected(&mut campaign, &sample, last)
+    {
+        prepared = model.fit_setup(&campaign, options)?;
+        sample = prepared.sampled_by_fold(SEARCH_ROWS);
+        selection = select(&campaign, &sample, &prepared)?;
+    }
+    let campaign = &*campaign;
     let mut formulas = discover(campaign, &sample, &testable, &mut selection, options, observer)?;
     if sample.row_count() < prepared.row_count() {
         observer.stage("fitting all rows", ALL_ROWS);
@@ -463,13 +499,17 @@ pub fn diagnose(
     }
     diagnosis.shapes = shapes(campaign, &sample, &selection, &formulas, options.seed);
     diagnosis.formulas = formulas;
+    // The fit is that of a comparison where it is of the recordings as they are.
+    let is_as_recorded = differences.is_empty();
+    diagnosis.findings = differences;
     diagnosis.model = path.display().to_string();
     diagnosis.campaign = campaign.folder.display().to_string();
     diagnosis.seed = options.seed;
     diagnosis.is_interrupted = observer.was_stopped();
     let own_split = prepared.split(&present);
     let first = selection.stages.into_iter().next().map(|stage| stage.fit);
-    let refit =
-        first.filter(|fit| fit.split == own_split).map(|fit| ModelRefit { setup: prepared, fit });
+    let refit = first
+        .filter(|fit| is_as_recorded && fit.split == own_split)
+        .map(|fit| ModelRefit { setup: prepared, fit });
     Ok((diagnosis, refit))
 }

@@ -2,10 +2,12 @@
 
 use analysis::data_quality::Finding;
 use analysis::data_quality::evidence::{
-    ClockOffset, ColumnError, ColumnSet, Evidence, LineSource, Magnitude, RecordingSet,
+    ClockOffset, ColumnError, ColumnSet, Evidence, LineSource, Magnitude, RecordingOffset,
+    RecordingSet,
 };
 use analysis::data_quality::fix::{Fix, FixKind};
-use analysis::numbers::{decimal, field};
+use analysis::numbers::{decimal, field, with_error};
+use model_export::fit::recording_differences::DifferenceCause;
 use model_export::recordings::dependence::DependenceKind;
 
 /// Recordings that are not independent, with the consequence.
@@ -244,6 +246,33 @@ pub fn message(finding: &Finding) -> String {
         Evidence::ClockOffsets { offsets, share, delay_ms } => {
             clock_offsets(offsets, *share, *delay_ms, finding.fix.is_some())
         }
+        Evidence::RecordingDifference { cause, reference, unit, offsets, equivalent, floors } => {
+            let what = difference_name(*cause);
+            let offsets = offsets.iter().map(|one| {
+                let RecordingOffset { recording, quantity, value, std_error } = one;
+                let sign = if *value > 0.0 { "+" } else { "" };
+                let offset = with_error(*value, *std_error, 1.0);
+                format!("{quantity} by {sign}{offset} {unit} in recording {recording}")
+            });
+            let or = match equivalent.as_slice() {
+                [] => String::new(),
+                others => format!(
+                    " On these recordings {} explains as much.",
+                    list(others.iter().map(|other| difference_name(*other)))
+                ),
+            };
+            format!(
+                "{what} differs between the recordings. Against recording {reference}: {}. The residual falls from {:.2} to {:.2} noise floors with it, and no effect of the catalogue explains as much.{or} {}. `diagnose` {}",
+                list(offsets),
+                floors[0],
+                floors[1],
+                difference_advice(*cause),
+                match cause {
+                    DifferenceCause::MagnetPlace => "cannot do without it",
+                    _ => "searches for effects on the recordings without it",
+                }
+            )
+        }
         Evidence::ClockLag { lag_ms, recordings, sensors, share, delay_ms } => {
             let (direction, cause) = if *lag_ms > 0.0 {
                 (
@@ -292,8 +321,39 @@ pub fn fix(fix: &Fix) -> String {
         FixKind::ConvertColumns => "converts the columns".to_owned(),
         FixKind::NegateColumns => "negates the columns".to_owned(),
         FixKind::AlignClock => "moves the reference's times to the board's clock".to_owned(),
+        FixKind::AlignZeros => {
+            "gives the forces of all recordings the zero of the first".to_owned()
+        }
         FixKind::Unwrap => "adds the range of the counts to the values that wrapped".to_owned(),
         FixKind::ReorderColumns => "restores the order of the columns".to_owned(),
+    }
+}
+
+/// What differs between recordings.
+const fn difference_name(cause: DifferenceCause) -> &'static str {
+    match cause {
+        DifferenceCause::FieldGain => "the gain of the field",
+        DifferenceCause::ReferenceZero => "the zero of the reference",
+        DifferenceCause::FieldZero => "the offset of the field",
+        DifferenceCause::MagnetPlace => "the place of the magnet",
+    }
+}
+
+/// What to look for.
+const fn difference_advice(cause: DifferenceCause) -> &'static str {
+    match cause {
+        DifferenceCause::FieldGain => {
+            "Look for another magnet, a magnet that lost remanence, or another temperature"
+        }
+        DifferenceCause::ReferenceZero => {
+            "Look for a reference that was set to zero under a load, or a finger that rested on something; a magnet that moved by force / stiffness looks the same. `compare --fix NEW` gives a copy the zero of the first recording"
+        }
+        DifferenceCause::FieldZero => {
+            "Look for a magnet or steel near the gripper, another attitude in the earth's field, or another sensor"
+        }
+        DifferenceCause::MagnetPlace => {
+            "Look for a mounting that was opened, or another gripper, and record each mounting as a campaign of its own"
+        }
     }
 }
 

@@ -1,0 +1,150 @@
+//! Differences between recordings as findings: a reference whose zero was set again, another offset or gain of the field, another
+//! seat of a magnet. They come before any effect of time: those would follow the steps from recording to recording.
+
+use std::path::Path;
+
+use anyhow::Result;
+use model_export::fit::FitOptions;
+use model_export::fit::campaign::{FitSetup, SEARCH_ROWS};
+use model_export::fit::recording_differences::{
+    DifferenceCause, RecordingDifference, recording_differences,
+};
+use model_export::fit::score_test::{CandidateScore, ScoreTest};
+use model_export::model_file::ModelFile;
+use model_export::recordings::columns::Axis;
+use model_export::recordings::csv_table::table_path;
+use model_export::recordings::{Campaign, Location};
+use nalgebra::Vector3;
+use rayon::prelude::*;
+
+use crate::data_quality::Finding;
+use crate::data_quality::evidence::{Evidence, RecordingOffset};
+use crate::data_quality::fix::{Change, Fix, FixKind, Repair};
+use crate::data_quality::model_checks::force_name;
+use crate::diagnose::candidates::candidates;
+use crate::diagnose::selection::FittedModel;
+
+/// Length in seconds of the blocks of the effects' score test, whose significance is not used.
+const BLOCK_S: f64 = 1.0;
+
+/// Findings of a campaign whose recordings differ otherwise than by an effect of the catalogue that `fitted` lacks, and the campaign
+/// as it would be without the differences of zero and gain; `None` where there are none. `setup` is a sample of its rows, `model` the
+/// file with the base of `fitted`.
+pub fn find(
+    campaign: &Campaign,
+    model: &ModelFile,
+    setup: &FitSetup,
+    fitted: &FittedModel,
+) -> Option<(Vec<Finding>, Campaign)> {
+    let values: Vec<Vec<f64>> =
+        fitted.fit.sensors.iter().map(|sensor| sensor.values.clone()).collect();
+    let (testable, _) = candidates(campaign, Some(model), &fitted.effects, &[]);
+    let around = ScoreTest::new(setup, &fitted.effects, &fitted.fit, BLOCK_S);
+    // One that is fitted to each recording by itself says no more than the difference does.
+    let scores: Vec<CandidateScore> = testable
+        .par_iter()
+        .filter(|candidate| !candidate.is_transient())
+        .filter_map(|candidate| around.score(candidate))
+        .collect();
+    let found = recording_differences(setup, &fitted.effects, &values, &scores);
+    if found.is_empty() {
+        return None;
+    }
+    let mut corrected = campaign.clone();
+    found.iter().for_each(|one| correct(&mut corrected, one, setup));
+    Some((found.iter().map(|one| finding(campaign, one)).collect(), corrected))
+}
+
+/// Findings of [`find`] next to a model, which is fitted to a sample of the campaign's rows.
+///
+/// # Errors
+/// The model cannot be fitted to the campaign.
+pub fn next_to(
+    campaign: &Campaign,
+    model: &ModelFile,
+    path: &Path,
+    options: FitOptions,
+) -> Result<Vec<Finding>> {
+    let setup = model.fit_setup(campaign, options)?.sampled(SEARCH_ROWS);
+    let fitted = FittedModel::without_validation(&setup, model.effect_terms(path)?, options)?;
+    let found = find(campaign, model, &setup, &fitted);
+    Ok(found.map_or_else(Vec::new, |(findings, _)| findings))
+}
+
+/// Removes a difference from the recordings in memory; the place of a magnet cannot be.
+fn correct(campaign: &mut Campaign, difference: &RecordingDifference, setup: &FitSetup) {
+    for one in &difference.differences {
+        let recording = &mut campaign.recordings[one.recording];
+        match difference.cause {
+            DifferenceCause::ReferenceZero => {
+                if let Some(force) = recording.forces.get_mut(&(one.sensor, one.axis)) {
+                    force.newtons.iter_mut().for_each(|newtons| *newtons -= one.value);
+                }
+            }
+            DifferenceCause::FieldZero => {
+                let rows = setup.rows.iter().find(|rows| rows.sensor == one.sensor);
+                let turned = Vector3::ith(one.axis as usize, one.value);
+                let offset = rows.map_or(turned, |rows| rows.orientation.to_sensor(turned));
+                if let Some(sensor) = recording.sensors.get_mut(&one.sensor) {
+                    for field in &mut sensor.field_g {
+                        (0..3).for_each(|axis| field[axis] -= offset[axis]);
+                    }
+                }
+            }
+            DifferenceCause::FieldGain => {
+                if let Some(sensor) = recording.sensors.get_mut(&one.sensor) {
+                    let gain = 1.0 + 0.01 * one.value;
+                    sensor.field_g.iter_mut().flatten().for_each(|field| *field /= gain);
+                }
+            }
+            DifferenceCause::MagnetPlace => {}
+        }
+    }
+}
+
+fn finding(campaign: &Campaign, difference: &RecordingDifference) -> Finding {
+    let RecordingDifference { cause, differences, equivalent, floors, .. } = difference;
+    let offsets = differences.iter().map(|one| RecordingOffset {
+        recording: campaign.recordings[one.recording].name.clone(),
+        quantity: quantity(*cause, one.sensor, one.axis),
+        value: one.value,
+        std_error: one.std_error,
+    });
+    let repairs = differences.iter().filter(|_| *cause == DifferenceCause::ReferenceZero);
+    let repairs: Vec<Repair> = repairs
+        .filter_map(|one| {
+            let folder = &campaign.recordings[one.recording].folder;
+            let change = Change::Convert {
+                column: force_name((one.sensor, one.axis)),
+                factor: 1.0,
+                offset: -one.value,
+            };
+            Some(Repair { file: table_path(folder, "force.csv").ok()?, change })
+        })
+        .collect();
+    Finding {
+        id: "recording_difference",
+        place: Location::file(&campaign.folder),
+        evidence: Evidence::RecordingDifference {
+            cause: *cause,
+            reference: campaign.recordings[0].name.clone(),
+            unit: cause.unit(),
+            offsets: offsets.collect(),
+            equivalent: equivalent.clone(),
+            floors: *floors,
+        },
+        stops: false,
+        fix: (!repairs.is_empty()).then_some(Fix { kind: FixKind::AlignZeros, repairs }),
+    }
+}
+
+/// Name of what differs.
+fn quantity(cause: DifferenceCause, sensor: u32, axis: Axis) -> String {
+    let letter = axis.letter();
+    match cause {
+        DifferenceCause::ReferenceZero => force_name((sensor, axis)),
+        DifferenceCause::FieldZero => format!("B{letter} of sensor {sensor}"),
+        DifferenceCause::FieldGain => format!("the field of sensor {sensor}"),
+        DifferenceCause::MagnetPlace => format!("the magnet of sensor {sensor} along {letter}"),
+    }
+}

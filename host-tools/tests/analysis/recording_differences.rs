@@ -1,0 +1,96 @@
+//! Recordings that differ by what no covariate explains: the zero of the reference, the offset of the field.
+
+use serde_json::Value;
+use tests::campaign_copy::{CampaignCopy, CsvTable};
+
+use crate::workdir::WorkDir;
+
+/// Gauss per count of the recordings.
+const GAUSS_PER_LSB: f64 = 0.125;
+
+/// A copy of a campaign with values added to columns of some recordings.
+fn shifted(campaign: &str, table: &str, shifts: &[(u32, &str, f64)]) -> CampaignCopy {
+    shifts.iter().fold(CampaignCopy::of(campaign), |copy, &(recording, column, offset)| {
+        copy.change(&[recording], table, |cells| {
+            cells.change(column, |_, value| (value + offset).to_string());
+        })
+    })
+}
+
+/// A base model fitted to a campaign, and its diagnosis.
+fn diagnosed(dir: &WorkDir, campaign: &str) -> Value {
+    dir.stdout(&["fit", campaign, "-o", "model.toml"]);
+    dir.json(&["diagnose", "model.toml", campaign, "--json"])
+}
+
+/// The message on what differs between the recordings.
+fn difference(diagnosis: &Value) -> Option<String> {
+    let findings = diagnosis["findings"].as_array().unwrap();
+    let found = findings.iter().find(|finding| finding["id"] == "recording_difference")?;
+    Some(found["message"].as_str().unwrap().to_owned())
+}
+
+fn assert_nothing_else(diagnosis: &Value) {
+    for list in ["accepted", "formulas"] {
+        assert_eq!(diagnosis[list], Value::Array(Vec::new()), "{list}");
+    }
+    assert_eq!(diagnosis["at_floor"], true);
+}
+
+#[test]
+fn zeros_of_the_reference_are_found_and_corrected() {
+    let shifts = [(2, "f0_x_n", 4.0), (3, "f0_x_n", -3.0), (3, "f1_z_n", 0.5)];
+    let spoilt = shifted("clean", "force.csv", &shifts);
+    let (dir, campaign) = (WorkDir::empty(), spoilt.path().display().to_string());
+    let diagnosis = diagnosed(&dir, &campaign);
+    let message = difference(&diagnosis).expect("a finding");
+    for part in ["the zero of the reference", "f0_x_n by +3.9", "f0_x_n by -3.0", "f1_z_n by +0."] {
+        assert!(message.contains(part), "{part}: {message}");
+    }
+    assert_nothing_else(&diagnosis);
+    let repaired = spoilt.repaired_path();
+    dir.stdout(&["compare", "model.toml", &campaign, "--fix", &repaired.display().to_string()]);
+    for (recording, column, _) in shifts {
+        let mean = |folder: &std::path::Path| {
+            let path = folder.join(recording.to_string()).join("force.csv.gz");
+            let values = CsvTable::read(&path).numbers(column);
+            values.iter().sum::<f64>() / values.len() as f64
+        };
+        let left = mean(&repaired) - mean(&tests::data("clean"));
+        assert!(left.abs() < 0.1, "{column} of recording {recording}: {left}");
+    }
+    let again = diagnosed(&dir, &repaired.display().to_string());
+    assert_eq!(difference(&again), None);
+    assert_nothing_else(&again);
+}
+
+#[test]
+fn a_zero_is_found_next_to_an_effect() {
+    let spoilt = shifted("demo", "force.csv", &[(2, "f0_x_n", 2.0)]);
+    let diagnosis = diagnosed(&WorkDir::empty(), &spoilt.path().display().to_string());
+    let message = difference(&diagnosis).expect("a finding");
+    assert!(message.contains("f0_x_n by +1.99"), "{message}");
+    assert_eq!(diagnosis["accepted"], serde_json::json!([["neighbour_magnet"]]));
+    assert_eq!(diagnosis["formulas"], Value::Array(Vec::new()));
+}
+
+#[test]
+fn an_offset_of_the_field_is_found() {
+    let counts = |gauss: f64| (gauss / GAUSS_PER_LSB).round();
+    let shifts = [(2, "s0_x_lsb", counts(2.0)), (2, "s0_y_lsb", counts(-3.0))];
+    let spoilt = shifted("clean", "hall.csv", &shifts);
+    let diagnosis = diagnosed(&WorkDir::empty(), &spoilt.path().display().to_string());
+    let message = difference(&diagnosis).expect("a finding");
+    for part in ["the offset of the field", "Bx of sensor 0 by +2.0", "By of sensor 0 by -2.99"] {
+        assert!(message.contains(part), "{part}: {message}");
+    }
+    assert_nothing_else(&diagnosis);
+}
+
+#[test]
+fn effects_are_no_differences() {
+    for campaign in ["clean", "demo", "friction", "ripple"] {
+        let diagnosis = diagnosed(&WorkDir::empty(), &tests::data(campaign).display().to_string());
+        assert_eq!(difference(&diagnosis), None, "{campaign}");
+    }
+}
