@@ -1,5 +1,5 @@
-//! Differences between recordings that no effect of a covariate makes: a zero of the reference that was set again, another
-//! offset or gain of the field, another seat of a magnet.
+//! Differences between recordings that no effect of the catalogue makes: a zero of the reference that was set again, another offset
+//! of the field, another place of a magnet. (Another gain is that of a magnet that lost remanence, which is an effect.)
 //!
 //! A fitted model is linearised at its solution, and each cause gets a coefficient for each recording but the first. A cause counts where it lowers the error of rows that the regression did not use, and where its
 //! coefficients scatter little within a recording: noise that wanders differs as much from one part of a recording to the next.
@@ -48,8 +48,6 @@ const CLEAR_SIGMAS: f64 = 12.0;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum DifferenceCause {
-    /// Gain of the field, in percent: another remanence.
-    FieldGain,
     /// Zero of the reference, in newtons.
     ReferenceZero,
     /// Offset of the field, in gauss.
@@ -59,13 +57,11 @@ pub enum DifferenceCause {
 }
 
 impl DifferenceCause {
-    const ALL: [Self; 4] =
-        [Self::FieldGain, Self::ReferenceZero, Self::FieldZero, Self::MagnetPlace];
+    const ALL: [Self; 3] = [Self::ReferenceZero, Self::FieldZero, Self::MagnetPlace];
 
     /// Components, by the axes of the sensor's forces.
     fn components(self, forces: &[(u32, Axis)]) -> Vec<Axis> {
         match self {
-            Self::FieldGain => vec![Axis::Y],
             Self::ReferenceZero => forces.iter().map(|(_, axis)| *axis).collect(),
             Self::FieldZero | Self::MagnetPlace => Axis::ALL.to_vec(),
         }
@@ -74,7 +70,6 @@ impl DifferenceCause {
     /// Unit of the coefficients.
     pub const fn unit(self) -> &'static str {
         match self {
-            Self::FieldGain => "%",
             Self::ReferenceZero => "N",
             Self::FieldZero => "G",
             Self::MagnetPlace => "um",
@@ -85,7 +80,6 @@ impl DifferenceCause {
     fn slope(self, axis: Axis, response: &FieldResponse, stiffness: [f64; 2]) -> Vector3<f64> {
         let place = axis as usize;
         match self {
-            Self::FieldGain => 0.01 * response.field_g,
             // A reference that reads more than the force: the field is that of less.
             Self::ReferenceZero => {
                 -response.per_mm.column(place) / stiffness[usize::from(axis == Axis::Z)]
@@ -103,7 +97,7 @@ pub struct Difference {
     pub sensor: u32,
     /// Place of the recording in the campaign.
     pub recording: usize,
-    /// Component: of the field in the gripper's axes, of the force, or of the displacement. `Y` of a gain.
+    /// Component: of the field in the gripper's axes, of the force, or of the displacement.
     pub axis: Axis,
     /// Against the first recording, in [`DifferenceCause::unit`].
     pub value: f64,

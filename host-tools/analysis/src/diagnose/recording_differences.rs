@@ -1,9 +1,10 @@
-//! Differences between recordings as findings: a reference whose zero was set again, another offset or gain of the field, another
-//! seat of a magnet. They come before any effect of time: those would follow the steps from recording to recording.
+//! Differences between recordings as findings: a reference whose zero was set again, another offset of the field, another place of
+//! a magnet. They come before any effect of time: those would follow the steps from recording to recording.
 
 use std::path::Path;
 
 use anyhow::Result;
+use model_export::effects::{EffectTerm, ParameterKind};
 use model_export::fit::FitOptions;
 use model_export::fit::campaign::{FitSetup, SEARCH_ROWS};
 use model_export::fit::recording_differences::{
@@ -28,7 +29,7 @@ use crate::diagnose::selection::FittedModel;
 const BLOCK_S: f64 = 1.0;
 
 /// Findings of a campaign whose recordings differ otherwise than by an effect of the catalogue that `fitted` lacks, and the campaign
-/// as it would be without the differences of zero and gain; `None` where there are none. `setup` is a sample of its rows, `model` the
+/// as it would be without the differences of a zero; `None` where there are none. `setup` is a sample of its rows, `model` the
 /// file with the base of `fitted`.
 pub fn find(
     campaign: &Campaign,
@@ -40,10 +41,10 @@ pub fn find(
         fitted.fit.sensors.iter().map(|sensor| sensor.values.clone()).collect();
     let (testable, _) = candidates(campaign, Some(model), &fitted.effects, &[]);
     let around = ScoreTest::new(setup, &fitted.effects, &fitted.fit, BLOCK_S);
-    // One that is fitted to each recording by itself says no more than the difference does.
+    // An event at an instant has more coefficients than the difference, and says less.
     let scores: Vec<CandidateScore> = testable
         .par_iter()
-        .filter(|candidate| !candidate.is_transient())
+        .filter(|candidate| !is_event(candidate))
         .filter_map(|candidate| around.score(candidate))
         .collect();
     let found = recording_differences(setup, &fitted.effects, &values, &scores);
@@ -71,6 +72,12 @@ pub fn next_to(
     Ok(found.map_or_else(Vec::new, |(findings, _)| findings))
 }
 
+/// Whether an effect acts at an instant of the campaign.
+fn is_event(candidate: &EffectTerm) -> bool {
+    let parameters = candidate.effect().map_or(&[][..], |effect| effect.parameters);
+    parameters.iter().any(|parameter| parameter.kind == ParameterKind::Instant)
+}
+
 /// Removes a difference from the recordings in memory; the place of a magnet cannot be.
 fn correct(campaign: &mut Campaign, difference: &RecordingDifference, setup: &FitSetup) {
     for one in &difference.differences {
@@ -89,12 +96,6 @@ fn correct(campaign: &mut Campaign, difference: &RecordingDifference, setup: &Fi
                     for field in &mut sensor.field_g {
                         (0..3).for_each(|axis| field[axis] -= offset[axis]);
                     }
-                }
-            }
-            DifferenceCause::FieldGain => {
-                if let Some(sensor) = recording.sensors.get_mut(&one.sensor) {
-                    let gain = 1.0 + 0.01 * one.value;
-                    sensor.field_g.iter_mut().flatten().for_each(|field| *field /= gain);
                 }
             }
             DifferenceCause::MagnetPlace => {}
@@ -144,7 +145,6 @@ fn quantity(cause: DifferenceCause, sensor: u32, axis: Axis) -> String {
     match cause {
         DifferenceCause::ReferenceZero => force_name((sensor, axis)),
         DifferenceCause::FieldZero => format!("B{letter} of sensor {sensor}"),
-        DifferenceCause::FieldGain => format!("the field of sensor {sensor}"),
         DifferenceCause::MagnetPlace => format!("the magnet of sensor {sensor} along {letter}"),
     }
 }

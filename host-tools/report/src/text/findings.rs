@@ -332,7 +332,6 @@ pub fn fix(fix: &Fix) -> String {
 /// What differs between recordings.
 const fn difference_name(cause: DifferenceCause) -> &'static str {
     match cause {
-        DifferenceCause::FieldGain => "the gain of the field",
         DifferenceCause::ReferenceZero => "the zero of the reference",
         DifferenceCause::FieldZero => "the offset of the field",
         DifferenceCause::MagnetPlace => "the place of the magnet",
@@ -342,9 +341,6 @@ const fn difference_name(cause: DifferenceCause) -> &'static str {
 /// What to look for.
 const fn difference_advice(cause: DifferenceCause) -> &'static str {
     match cause {
-        DifferenceCause::FieldGain => {
-            "Look for another magnet, a magnet that lost remanence, or another temperature"
-        }
         DifferenceCause::ReferenceZero => {
             "Look for a reference that was set to zero under a load, or a finger that rested on something; a magnet that moved by force / stiffness looks the same. `compare --fix NEW` gives a copy the zero of the first recording"
         }
