@@ -8,14 +8,12 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use rustix::fs::{Mode, OFlags, open};
-use rustix::io::ioctl_fionbio;
+use rustix::io::{ioctl_fionbio, ioctl_fionread};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{OptionalActions, QueueSelector, tcflush, tcgetattr, tcsetattr};
 
-/// Buffer size of the kernel: more accepted bytes prove that a reader exists.
-const KEPT: usize = 256 << 10;
 /// A reader that takes nothing for this time has stopped reading.
-const STALLED: Duration = Duration::from_millis(250);
+const STALLED: Duration = Duration::from_secs(1);
 /// Interval of attempts.
 const RETRY: Duration = Duration::from_millis(1);
 
@@ -26,8 +24,10 @@ pub struct Pty {
     slave: OwnedFd,
     /// Path of the other end.
     pub path: PathBuf,
-    /// Bytes accepted since the last drop.
-    taken: usize,
+    /// Unread bytes at the other end after the last attempt to write.
+    unread: u64,
+    /// When fewer were last found than before: a reader exists.
+    read: Option<Instant>,
 }
 
 impl Pty {
@@ -50,7 +50,8 @@ impl Pty {
             master: File::from(master),
             slave,
             path: PathBuf::from(path.to_string_lossy().into_owned()),
-            taken: 0,
+            unread: 0,
+            read: None,
         })
     }
 
@@ -59,13 +60,20 @@ impl Pty {
     /// # Errors
     /// Error of the system.
     pub fn offer(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        taken(self.master.write(bytes))
+        let unread = ioctl_fionread(&self.slave)?;
+        if unread < self.unread {
+            self.read = Some(Instant::now());
+        }
+        let count = taken(self.master.write(bytes))?;
+        self.unread = ioctl_fionread(&self.slave)?;
+        Ok(count)
     }
 
     /// Drops the oldest unread bytes, as on a line without a receiver.
-    pub fn forget(&self) {
+    pub fn forget(&mut self) {
         // On failure the bytes are read later.
         let _ = tcflush(&self.slave, QueueSelector::IFlush);
+        (self.unread, self.read) = (0, None);
     }
 
     /// Sends bytes; waits briefly for a late reader, and drops the oldest bytes without
@@ -75,21 +83,17 @@ impl Pty {
     /// Error of the system.
     pub fn send_latest(&mut self, bytes: &[u8]) -> io::Result<()> {
         let mut given = 0;
-        let mut progress = Instant::now();
         while let Some(rest) = bytes.get(given..).filter(|rest| !rest.is_empty()) {
             match self.offer(rest)? {
-                0 if self.taken > KEPT && progress.elapsed() < STALLED => thread::sleep(RETRY),
+                0 if self.read.is_some_and(|read| read.elapsed() < STALLED) => {
+                    thread::sleep(RETRY);
+                }
                 0 => {
                     self.forget();
-                    self.taken = 0;
                     self.offer(rest)?;
                     return Ok(());
                 }
-                count => {
-                    given += count;
-                    self.taken = self.taken.saturating_add(count);
-                    progress = Instant::now();
-                }
+                count => given += count,
             }
         }
         Ok(())
@@ -150,7 +154,6 @@ mod tests {
             }
             assert!(written < 1 << 24, "it takes without end");
         }
-        assert!(written < KEPT, "{written}");
         // The kernel frees space asynchronously.
         while pty.offer(&[2]).unwrap() == 0 {
             pty.forget();
@@ -168,33 +171,30 @@ mod tests {
 
     #[test]
     fn late_reader_loses_nothing() {
-        const COUNT: usize = 4 * KEPT;
+        const COUNT: usize = 1 << 20;
         let mut pty = Pty::open().unwrap();
         let mut other = File::open(&pty.path).unwrap();
-        let (count, counted) = mpsc::channel();
+        let (begin, begun) = mpsc::channel();
         let reader = thread::spawn(move || {
             let mut read = Vec::new();
             let mut bytes = [0; 4096];
-            let mut is_late = false;
             while read.len() < COUNT {
-                // Late once it is known to read.
-                if read.len() > 2 * KEPT && !std::mem::replace(&mut is_late, true) {
-                    thread::sleep(STALLED / 3);
-                }
                 let length = other.read(&mut bytes).unwrap();
                 read.extend_from_slice(&bytes[..length]);
-                count.send(read.len()).unwrap();
+                // The first bytes show that it reads.
+                let _ = begin.send(());
+                if read.len() % 100 == 0 {
+                    thread::sleep(STALLED / 50);
+                }
             }
             read
         });
         let sent: Vec<u8> = (0..COUNT).map(|place| (place % 251) as u8).collect();
-        let mut given = 0;
         for bytes in sent.chunks(1000) {
-            // At first the reader takes each before the next comes.
-            while pty.taken <= KEPT && given > 0 && counted.recv().unwrap() < given {}
-            given += bytes.len();
             pty.send_latest(bytes).unwrap();
-            assert!(pty.taken > 0, "bytes were dropped");
+            if pty.read.is_none() {
+                begun.recv().unwrap();
+            }
         }
         assert!(reader.join().unwrap() == sent);
     }
