@@ -330,6 +330,12 @@ impl EffectTerm {
         self.effect().is_some_and(|effect| effect.is_transient)
     }
 
+    /// True where it acts at an instant of the campaign, which is searched.
+    pub fn is_at_instant(&self) -> bool {
+        let parameters = self.effect().map_or(&[][..], |effect| effect.parameters);
+        parameters.iter().any(|parameter| parameter.kind == ParameterKind::Instant)
+    }
+
     /// True where it depends on the order of the rows: on time, on a rate, or on the past.
     pub fn depends_on_order(&self) -> bool {
         match self {

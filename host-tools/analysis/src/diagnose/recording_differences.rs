@@ -4,7 +4,6 @@
 use std::path::Path;
 
 use anyhow::Result;
-use model_export::effects::{EffectTerm, ParameterKind};
 use model_export::fit::FitOptions;
 use model_export::fit::campaign::{FitSetup, SEARCH_ROWS};
 use model_export::fit::recording_differences::{
@@ -44,7 +43,7 @@ pub fn find(
     // An event at an instant has more coefficients than the difference, and says less.
     let scores: Vec<CandidateScore> = testable
         .par_iter()
-        .filter(|candidate| !is_event(candidate))
+        .filter(|candidate| !candidate.is_at_instant())
         .filter_map(|candidate| around.score(candidate))
         .collect();
     let found = recording_differences(setup, &fitted.effects, &values, &scores);
@@ -70,12 +69,6 @@ pub fn next_to(
     let fitted = FittedModel::without_validation(&setup, model.effect_terms(path)?, options)?;
     let found = find(campaign, model, &setup, &fitted);
     Ok(found.map_or_else(Vec::new, |(findings, _)| findings))
-}
-
-/// Whether an effect acts at an instant of the campaign.
-fn is_event(candidate: &EffectTerm) -> bool {
-    let parameters = candidate.effect().map_or(&[][..], |effect| effect.parameters);
-    parameters.iter().any(|parameter| parameter.kind == ParameterKind::Instant)
 }
 
 /// Removes a difference from the recordings in memory; the place of a magnet cannot be.

@@ -316,11 +316,12 @@ impl FittedModel {
         effect_sizes(&self.fit, &self.effects, recordings).into_iter().nth(place)
     }
 
-    /// Whether one of its effects has a plausible magnitude, neither tiny nor within its own error.
+    /// Whether one of its effects has a plausible magnitude, neither tiny nor within its own error. An effect at an instant has no
+    /// error of its own: it acts in one block of the bootstrap.
     pub fn is_plausible(&self, effect: &EffectTerm, recordings: usize) -> bool {
         self.size_of(effect, recordings).is_none_or(|size| {
             let tiny = size.largest < MIN_MAGNITUDE * size.size.typical.abs();
-            size.is_plausible() && size.is_determined() && !tiny
+            size.is_plausible() && (effect.is_at_instant() || size.is_determined()) && !tiny
         })
     }
 
