@@ -484,7 +484,8 @@ pub fn diagnose(
     if let Some(last) = selection.stages.last().filter(|_| !diagnosis.at_floor) {
         let located = selection.attributed.iter().map(|(_, share)| share).sum();
         let columns = residuals_against(&sample, last, &[]);
-        diagnosis.remaining = Some(RemainingStructure::of(&columns, located));
+        let names: Vec<&str> = campaign.recordings.iter().map(|one| one.name.as_str()).collect();
+        diagnosis.remaining = Some(RemainingStructure::of(&columns, &names, located));
     }
     if scope.plans && !observer.is_stopped() {
         let verdicts = &diagnosis.verdicts;

@@ -19,7 +19,7 @@ const MIN_ROWS: usize = 32;
 /// exponentially distributed: on a single channel each of some 400 frequencies exceeds 20 medians with probability 2^-20, any of
 /// them with 4e-4; sums over channels vary less.
 const MIN_PEAK: f64 = 20.0;
-/// Channels that together have this fraction of the excess are listed.
+/// Channels or recordings that together have this fraction of the excess are listed.
 const LISTED: f64 = 0.8;
 
 /// Structure that remains in a residual above its noise floor.
@@ -35,6 +35,17 @@ pub struct RemainingStructure {
     pub peak_hz: Option<f64>,
     /// Channels with the largest parts of the squared excess, largest first.
     pub channels: Vec<ChannelShare>,
+    /// Recordings with the largest parts, largest first; empty where it is not in less than half of them.
+    pub recordings: Vec<RecordingShare>,
+}
+
+/// Part of a recording.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct RecordingShare {
+    /// Name of the recording.
+    pub recording: String,
+    /// Fraction of the squared excess of all recordings.
+    pub share: f64,
 }
 
 /// Part of a channel.
@@ -49,8 +60,8 @@ pub struct ChannelShare {
 }
 
 impl RemainingStructure {
-    /// Of residuals, of whose squared excess the fraction `located` follows covariates.
-    pub fn of(columns: &[ResidualTable], located: f64) -> Self {
+    /// Of residuals, of whose squared excess the fraction `located` follows covariates. `names` are those of all recordings.
+    pub fn of(columns: &[ResidualTable], names: &[&str], located: f64) -> Self {
         let mut channels = Vec::new();
         for table in columns {
             for (axis, name) in Axis::ALL.map(Axis::letter).into_iter().enumerate() {
@@ -77,8 +88,37 @@ impl RemainingStructure {
             correlation_s: correlation_s(columns),
             peak_hz: peak_hz(columns),
             channels,
+            recordings: recording_shares(columns, names),
         }
     }
+}
+
+/// The few recordings that hold most of the squared excess; empty where it is spread over half of them or more.
+fn recording_shares(columns: &[ResidualTable], names: &[&str]) -> Vec<RecordingShare> {
+    let mut squares = vec![0.0_f64; names.len()];
+    for table in columns {
+        for ((recording, left), floor) in
+            table.recording.iter().zip(&table.residual).zip(&table.floor2)
+        {
+            if let Some(sum) = squares.get_mut(*recording as usize) {
+                *sum += left.norm_squared() - floor.sum();
+            }
+        }
+    }
+    let sum: f64 = squares.iter().map(|square| square.max(0.0)).sum();
+    let mut shares: Vec<RecordingShare> = squares
+        .iter()
+        .zip(names)
+        .map(|(square, name)| RecordingShare {
+            recording: (*name).to_owned(),
+            share: square.max(0.0) / sum.max(f64::MIN_POSITIVE),
+        })
+        .collect();
+    shares.sort_by(|a, b| b.share.total_cmp(&a.share));
+    shares.truncate(names.len().saturating_sub(1) / 2);
+    let is_most = shares.iter().map(|one| one.share).sum::<f64>() >= LISTED;
+    shares.retain(|one| is_most && one.share >= 1.0 / names.len() as f64);
+    shares
 }
 
 /// Rows of each recording.
@@ -148,6 +188,8 @@ mod tests {
 
     use super::*;
 
+    const NAMES: [&str; 2] = ["one", "two"];
+
     /// Two recordings of 20 s at 100 Hz with white noise of 0.1 G, and a signal of time in seconds on sensor 3 z.
     fn columns(signal: impl Fn(f64) -> f64) -> Vec<ResidualTable> {
         let mut rng = ChaCha8Rng::seed_from_u64(7);
@@ -172,7 +214,8 @@ mod tests {
 
     #[test]
     fn oscillation_is_described_by_frequency_and_channel() {
-        let structure = RemainingStructure::of(&columns(|t| 0.6 * (TAU * 1.7 * t).sin()), 0.25);
+        let structure =
+            RemainingStructure::of(&columns(|t| 0.6 * (TAU * 1.7 * t).sin()), &NAMES, 0.25);
         assert!(structure.peak_hz.is_some_and(|hz| (hz - 1.7).abs() < 0.05), "{structure:?}");
         let [channel] = structure.channels[..] else { panic!("{structure:?}") };
         assert_eq!((channel.sensor, channel.axis), (3, "z"));
@@ -186,10 +229,34 @@ mod tests {
     #[test]
     fn slow_drift_has_a_long_correlation_and_no_frequency() {
         let structure =
-            RemainingStructure::of(&columns(|t| if t < 10.0 { 0.5 } else { -0.5 }), 0.0);
+            RemainingStructure::of(&columns(|t| if t < 10.0 { 0.5 } else { -0.5 }), &NAMES, 0.0);
         assert!(structure.correlation_s > 1.0, "{structure:?}");
-        let white = RemainingStructure::of(&columns(|_| 0.0), 0.0);
+        let white = RemainingStructure::of(&columns(|_| 0.0), &NAMES, 0.0);
         assert_eq!(white.peak_hz, None);
         assert!(white.correlation_s < 0.1 && white.excess_g < 0.02, "{white:?}");
+    }
+
+    #[test]
+    fn the_recording_with_most_of_the_excess_is_named() {
+        let mut tables = columns(|_| 0.0);
+        for table in &mut tables {
+            let later = table.recording.clone().into_iter().map(|number| number + 2);
+            let (times, left, floor) =
+                (table.time_s.clone(), table.residual.clone(), table.floor2.clone());
+            table.recording.extend(later);
+            table.time_s.extend(times);
+            table.residual.extend(left);
+            table.floor2.extend(floor);
+        }
+        let names = ["1", "2", "3", "4"];
+        assert_eq!(RemainingStructure::of(&tables, &names, 0.0).recordings, []);
+        let table = &mut tables[1];
+        for (recording, left) in table.recording.iter().zip(&mut table.residual) {
+            left.z += if *recording == 2 { 0.5 } else { 0.0 };
+        }
+        let structure = RemainingStructure::of(&tables, &names, 0.0);
+        let [one] = &structure.recordings[..] else { panic!("{structure:?}") };
+        assert_eq!(one.recording, "3");
+        assert!(one.share > 0.9, "{structure:?}");
     }
 }

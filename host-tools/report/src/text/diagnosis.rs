@@ -987,13 +987,18 @@ pub fn remaining(structure: &RemainingStructure) -> String {
     let channels = structure.channels.iter().map(|channel| {
         format!("sensor {} {} ({:.0} %)", channel.sensor, channel.axis, 100.0 * channel.share)
     });
+    let recordings = structure
+        .recordings
+        .iter()
+        .map(|one| format!(", in recording {} ({:.0} %)", one.recording, 100.0 * one.share));
     format!(
         "NOT LOCATED: {:.0} % of the excess of {} over the noise follows no covariate. The residual stays alike for {} s, \
-         {oscillates}, and is on {}",
+         {oscillates}, and is on {}{}",
         100.0 * structure.share,
         field(structure.excess_g),
         numbers::decimal(structure.correlation_s, 2),
-        channels.collect::<Vec<_>>().join(", ")
+        channels.collect::<Vec<_>>().join(", "),
+        recordings.collect::<String>()
     )
 }
 
