@@ -16,6 +16,7 @@ fn board(dir: &WorkDir) -> (Running, String) {
         dir,
         "monitor --virtual --model model.toml --press 20,-10 --json --seconds 120",
     );
+    running.drop_output();
     let (path, messages) = running.line();
     // The pipe stays open as long as the board writes to it.
     std::mem::forget(messages);

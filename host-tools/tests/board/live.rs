@@ -115,6 +115,7 @@ fn foxglove_receives_every_tick_and_the_layout_shows_existing_topics() {
     let dir = WorkDir::empty();
     let line = "monitor --virtual --press 20,-10 --foxglove 127.0.0.1:0 --json";
     let mut monitor = Running::start(&dir, line);
+    monitor.drop_output();
     let mut text = BufReader::new(monitor.0.stderr.take().unwrap()).lines();
     let address = text.find_map(|line| Some(line.unwrap().split_once("connection ")?.1.to_owned()));
     let (channels, messages) = foxglove_messages(&address.unwrap(), "/estimate", 2000);

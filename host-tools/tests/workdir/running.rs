@@ -2,9 +2,10 @@
 
 #![allow(dead_code)] // No test needs all of it.
 
-use std::io::{BufRead, BufReader};
+use std::io::{self, BufRead, BufReader};
 use std::path::PathBuf;
 use std::process::{Child, ChildStderr, Command, Stdio};
+use std::thread;
 
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
@@ -39,6 +40,13 @@ impl Running {
         message.read_line(&mut first).unwrap();
         let path = first.trim().rsplit(' ').next().unwrap();
         (PathBuf::from(path), message)
+    }
+
+    /// Reads and drops the output that nothing else reads: a full pipe stops the command.
+    pub fn drop_output(&mut self) {
+        if let Some(mut output) = self.0.stdout.take() {
+            thread::spawn(move || io::copy(&mut output, &mut io::sink()));
+        }
     }
 
     pub fn signal(&self, signal: Signal) {
