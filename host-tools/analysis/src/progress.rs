@@ -98,10 +98,10 @@ fn styled(bar: ProgressBar, template: &str, message: &'static str) -> ProgressBa
     if let Ok(style) = ProgressStyle::with_template(template) {
         let style = style
             .with_key("about", |state: &ProgressState, out: &mut dyn Write| {
-                left(state, "about", out)
+                left(state, "about", mean_left(state), out)
             })
             .with_key("at_most", |state: &ProgressState, out: &mut dyn Write| {
-                left(state, "at most", out)
+                left(state, "at most", state.eta(), out)
             });
         bar.set_style(style.progress_chars("=> "));
     }
@@ -113,11 +113,17 @@ fn styled(bar: ProgressBar, template: &str, message: &'static str) -> ProgressBa
     bar
 }
 
+/// Time left at the mean rate: that of the last seconds is none where a step takes minutes.
+fn mean_left(state: &ProgressState) -> Duration {
+    let steps = state.len().unwrap_or(0).saturating_sub(state.pos());
+    state.elapsed().mul_f64(steps as f64 / state.pos().max(1) as f64)
+}
+
 /// The time left, unknown before the first step.
-fn left(state: &ProgressState, qualifier: &str, out: &mut dyn Write) {
+fn left(state: &ProgressState, qualifier: &str, time: Duration, out: &mut dyn Write) {
     if state.pos() > 0 {
         // Text in memory.
-        let _ = write!(out, ", {qualifier} {:#} left", HumanDuration(state.eta()));
+        let _ = write!(out, ", {qualifier} {:#} left", HumanDuration(time));
     }
 }
 
