@@ -24,6 +24,9 @@ use crate::data_quality::model_checks::force_name;
 use crate::diagnose::candidates::candidates;
 use crate::diagnose::selection::FittedModel;
 
+/// Identifier of the findings.
+pub const ID: &str = "recording_difference";
+
 /// Length in seconds of the blocks of the effects' score test, whose significance is not used.
 const BLOCK_S: f64 = 1.0;
 
@@ -117,7 +120,7 @@ fn finding(campaign: &Campaign, difference: &RecordingDifference) -> Finding {
         })
         .collect();
     Finding {
-        id: "recording_difference",
+        id: ID,
         place: Location::file(&campaign.folder),
         evidence: Evidence::RecordingDifference {
             cause: *cause,

@@ -1,6 +1,6 @@
 //! Suggested next command.
 
-use crate::diagnose::{Diagnosis, Verdict, VerdictKind};
+use crate::diagnose::{Diagnosis, Verdict, VerdictKind, recording_differences};
 use model_export::effects::EffectTerm;
 use model_export::model_file::BaseKind;
 
@@ -16,6 +16,8 @@ pub enum SuggestionKind {
     ChooseEffect,
     /// Fit with the clocks aligned.
     AlignClocks,
+    /// Correct what differs between the recordings, and fit the copy.
+    CorrectRecordings,
     /// Export the model.
     Export,
     /// Replay a model that was fitted to other recordings, before it is used.
@@ -31,7 +33,7 @@ pub enum SuggestionKind {
 pub struct Suggestion {
     /// Kind.
     pub kind: SuggestionKind,
-    /// Alternative commands.
+    /// Alternative commands; those of a correction one after the other.
     pub commands: Vec<String>,
 }
 
@@ -103,6 +105,23 @@ pub fn suggest(diagnosis: &Diagnosis, typed: &Invocation) -> Suggestion {
     };
     let suggestion = |kind, commands| Suggestion { kind, commands };
     let report = || vec![command("compare", &["-o", "report.html"].map(str::to_owned))];
+    let mut differences =
+        diagnosis.findings.iter().filter(|finding| finding.id == recording_differences::ID);
+    if let Some(first) = differences.next() {
+        // Effects were sought on the recordings without it; as they are, they would be fitted with it.
+        let is_fixed = first.fix.is_some() && differences.all(|other| other.fix.is_some());
+        if !is_fixed {
+            return suggestion(SuggestionKind::Compare, report());
+        }
+        let copy = format!("{}-corrected", typed.campaign.trim_end_matches('/'));
+        let fit = ["cargo", "magpie", "fit", &copy, "-o", &better(typed.model)].map(str::to_owned);
+        let mut fit = fit.to_vec();
+        if typed.base == BaseKind::Polynomial {
+            fit.extend(["--base", "polynomial"].map(str::to_owned));
+        }
+        let commands = vec![command("compare", &["--fix".to_owned(), copy]), line(&fit)];
+        return suggestion(SuggestionKind::CorrectRecordings, commands);
+    }
     if let Some(skew_ms) = clock_skew_ms(diagnosis) {
         // The device cannot compensate it; with the clocks aligned, the other effects are found again.
         let delay_ms = ((typed.delay_ms + skew_ms) * 1e2).round() / 1e2;

@@ -484,6 +484,9 @@ pub fn suggestion_heading(kind: SuggestionKind) -> &'static str {
         SuggestionKind::AlignClocks => {
             "Suggestion, align the clocks, which no device can compensate, and diagnose the new model with the same --delay-ms:"
         }
+        SuggestionKind::CorrectRecordings => {
+            "Suggestion, give the recordings one zero, fit the copy, and diagnose it with the new model:"
+        }
         SuggestionKind::Replay => {
             "No missing effect was found, with the model's parameters fitted again. Its file is of other recordings: see whether it \
              holds for this gripper before its tables are used, else fit these recordings:"
