@@ -74,7 +74,7 @@ pub fn refit(
         notes.extend(Note::other_recordings(model, sources.map(|recording| &*recording.sha256)));
         let bar = progress::progress_bar("replaying, before and after", 1);
         let fits = [(&old, before.as_slice()), (&new, after.as_slice())];
-        let forces = held_out_forces(&campaign, &prepared, &fits, alignment, options)?;
+        let forces = held_out_forces((&campaign, &[]), &prepared, &fits, alignment, options)?;
         bar.finish_and_clear();
         let mut forces = forces.into_iter();
         let mut next = || forces.next().unwrap_or_default();

@@ -35,6 +35,10 @@ fn assert_nothing_else(diagnosis: &Value) {
         assert_eq!(diagnosis[list], Value::Array(Vec::new()), "{list}");
     }
     assert_eq!(diagnosis["at_floor"], true);
+    // The forces are compared with the corrected reference, and estimated from the corrected field.
+    let force = &diagnosis["staircase"][0]["force"];
+    let [excess_n, noise_n] = ["excess_n", "noise_n"].map(|name| force[name].as_f64().unwrap());
+    assert!(excess_n < 0.5 * noise_n, "{force}");
 }
 
 #[test]

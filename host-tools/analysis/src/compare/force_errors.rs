@@ -11,7 +11,7 @@ use crate::compare::{
 };
 use crate::notes::UncompensatedEffect;
 use crate::progress;
-use crate::replay::corrections::{Irreducible, SensorCorrections};
+use crate::replay::corrections::{Irreducible, RecordingOffsets, SensorCorrections, add_offsets};
 use crate::replay::{RecordingReplay, ReplayInput, replay_each};
 use crate::statistics::{ErrorAccumulator, Moments};
 use anyhow::{Result, anyhow};
@@ -64,12 +64,12 @@ pub struct ForceEvaluation {
 }
 
 /// Held-out errors of the forces of fits to a whole campaign, each with its effects, and what the device does
-/// not compensate.
+/// not compensate. `offsets` are those of each recording that the campaign in memory is without; empty if none.
 ///
 /// # Errors
 /// A recording cannot be read.
 pub fn held_out_forces(
-    campaign: &Campaign,
+    (campaign, offsets): (&Campaign, &[RecordingOffsets]),
     setup: &FitSetup,
     fits: &[(&JointFit, &[EffectTerm])],
     alignment: Alignment,
@@ -87,6 +87,7 @@ pub fn held_out_forces(
         .collect();
     let recordings = Recordings {
         origins_s: &origins_s,
+        offsets,
         read: &|place| Ok(Cow::Borrowed(&campaign.recordings[place])),
     };
     evaluate_plans(&plans, Path::new("the fitted model"), alignment, recordings, &mut [])
@@ -97,6 +98,8 @@ pub fn held_out_forces(
 pub struct Recordings<'a> {
     /// First row of each in seconds.
     pub origins_s: &'a [f64],
+    /// Offsets of each, to subtract; empty without any.
+    pub offsets: &'a [RecordingOffsets],
     /// Reads one of them.
     pub read: &'a (dyn Fn(usize) -> Result<Cow<'a, Recording>, DataError> + Sync),
 }
@@ -182,7 +185,9 @@ fn evaluate_plans(
         let replayed = some
             .par_iter()
             .map(|(recording, origin_s, excitation)| {
-                let replay = FoldReplay { plans, built: &built, recording: *recording, alignment };
+                let offsets = source.offsets.get(*recording);
+                let recording = *recording;
+                let replay = FoldReplay { plans, built: &built, recording, offsets, alignment };
                 let replayed = replay.run(*origin_s, excitation, has_curves);
                 bar.inc(1);
                 replayed
@@ -355,6 +360,7 @@ struct FoldReplay<'a> {
     plans: &'a [CvPlan],
     built: &'a [FoldTables],
     recording: usize,
+    offsets: Option<&'a RecordingOffsets>,
     alignment: Alignment,
 }
 
@@ -486,7 +492,12 @@ impl FoldReplay<'_> {
         else {
             return Vec::new();
         };
-        fold.corrections(planned, excitation, origin_s + 1e-6 * self.alignment.delay_us)
+        let clock_s = origin_s + 1e-6 * self.alignment.delay_us;
+        let mut corrections = fold.corrections(planned, excitation, clock_s);
+        if let Some(offsets) = self.offsets {
+            add_offsets(&mut corrections, offsets);
+        }
+        corrections
     }
 }
 

@@ -231,7 +231,7 @@ pub(crate) fn evaluate(
     notes.extend(unreported.cloned().map(Note::Recording));
     let alignment = source.alignment;
     let read = |place| source.read(place);
-    let recordings = Recordings { origins_s: &fields.origins_s, read: &read };
+    let recordings = Recordings { origins_s: &fields.origins_s, offsets: &[], read: &read };
     let device = evaluate_forces(&plan, path, alignment, recordings, &mut fields.traces)?;
     let columns: Vec<ResidualTable> = fields
         .sensors

@@ -27,6 +27,7 @@ pub use crate::diagnose::formulas::DiscoveredFormula;
 use crate::diagnose::formulas::{discover, equivalent_formulas};
 use crate::diagnose::forward_selection::forward_selection;
 use crate::diagnose::observer::Observer;
+use crate::diagnose::recording_differences::Differences;
 use crate::diagnose::recording_plan::{RecordingProposal, propose};
 use crate::diagnose::remaining_structure::RemainingStructure;
 pub use crate::diagnose::residuals::EffectShape;
@@ -405,18 +406,18 @@ pub fn diagnose(
 ) -> Result<(Diagnosis, Option<ModelRefit>)> {
     observer.begin();
     let mut campaign = Cow::Borrowed(campaign);
-    let mut differences = Vec::new();
+    let mut differences: Option<Differences> = None;
     let present: Vec<EffectTerm> = model.effect_terms(path)?;
     // Next to the model, and next to what was found to be missing from it.
     let mut is_corrected =
         |campaign: &mut Cow<Campaign>, setup: &FitSetup, fitted: &FittedModel| {
             observer.stage("comparing recordings", DIFFERENCES);
-            let found = match scope.catalogue && differences.is_empty() {
-                true => recording_differences::find(campaign, model, setup, fitted),
-                false => None,
-            };
-            let Some((findings, corrected)) = found else { return false };
-            differences = findings;
+            if !scope.catalogue || differences.is_some() {
+                return false;
+            }
+            let found = recording_differences::find(campaign, model, setup, fitted);
+            let Some((found, corrected)) = found else { return false };
+            differences = Some(found);
             *campaign = Cow::Owned(corrected);
             true
         };
@@ -465,7 +466,8 @@ pub fn diagnose(
         observer.stage("replaying each step on the device's code", REPLAYS);
         let fits: Vec<(&JointFit, &[EffectTerm])> =
             selection.stages.iter().map(|stage| (&stage.fit, stage.effects.as_slice())).collect();
-        let forces = held_out_forces(campaign, &prepared, &fits, alignment, options)?;
+        let offsets = differences.as_ref().map_or(&[][..], |found| &found.offsets);
+        let forces = held_out_forces((campaign, offsets), &prepared, &fits, alignment, options)?;
         diagnosis.set_forces(forces.iter().map(|forces| forces.error), &selection);
         diagnosis.origins = selection.stages.last().map_or_else(Vec::new, |last| {
             let recordings = campaign.recordings.len();
@@ -501,8 +503,8 @@ pub fn diagnose(
     diagnosis.shapes = shapes(campaign, &sample, &selection, &formulas, options.seed);
     diagnosis.formulas = formulas;
     // The fit is that of a comparison where it is of the recordings as they are.
-    let is_as_recorded = differences.is_empty();
-    diagnosis.findings = differences;
+    let is_as_recorded = differences.is_none();
+    diagnosis.findings = differences.map_or_else(Vec::new, |found| found.findings);
     diagnosis.model = path.display().to_string();
     diagnosis.campaign = campaign.folder.display().to_string();
     diagnosis.seed = options.seed;

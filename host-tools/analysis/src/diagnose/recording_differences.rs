@@ -13,7 +13,7 @@ use model_export::fit::score_test::{CandidateScore, ScoreTest};
 use model_export::model_file::ModelFile;
 use model_export::recordings::columns::Axis;
 use model_export::recordings::csv_table::table_path;
-use model_export::recordings::{Campaign, Location};
+use model_export::recordings::{Campaign, Location, Recording};
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
@@ -23,6 +23,7 @@ use crate::data_quality::fix::{Change, Fix, FixKind, Repair};
 use crate::data_quality::model_checks::force_name;
 use crate::diagnose::candidates::candidates;
 use crate::diagnose::selection::FittedModel;
+use crate::replay::corrections::RecordingOffsets;
 
 /// Identifier of the findings.
 pub const ID: &str = "recording_difference";
@@ -30,15 +31,22 @@ pub const ID: &str = "recording_difference";
 /// Length in seconds of the blocks of the effects' score test, whose significance is not used.
 const BLOCK_S: f64 = 1.0;
 
-/// Findings of a campaign whose recordings differ otherwise than by an effect of the catalogue that `fitted` lacks, and the campaign
-/// as it would be without the differences of a zero; `None` where there are none. `setup` is a sample of its rows, `model` the
-/// file with the base of `fitted`.
+/// What differs between the recordings of a campaign.
+pub struct Differences {
+    /// As findings.
+    pub findings: Vec<Finding>,
+    /// What is subtracted from each recording.
+    pub offsets: Vec<RecordingOffsets>,
+}
+
+/// Differences of a campaign's recordings that no effect of the catalogue makes that `fitted` lacks, and the campaign without those
+/// of a zero; `None` where there are none. `setup` is a sample of its rows, `model` the file with the base of `fitted`.
 pub fn find(
     campaign: &Campaign,
     model: &ModelFile,
     setup: &FitSetup,
     fitted: &FittedModel,
-) -> Option<(Vec<Finding>, Campaign)> {
+) -> Option<(Differences, Campaign)> {
     let values: Vec<Vec<f64>> =
         fitted.fit.sensors.iter().map(|sensor| sensor.values.clone()).collect();
     let (testable, _) = candidates(campaign, Some(model), &fitted.effects, &[]);
@@ -53,9 +61,11 @@ pub fn find(
     if found.is_empty() {
         return None;
     }
+    let offsets = offsets(&found, setup, campaign.recordings.len());
     let mut corrected = campaign.clone();
-    found.iter().for_each(|one| correct(&mut corrected, one, setup));
-    Some((found.iter().map(|one| finding(campaign, one)).collect(), corrected))
+    corrected.recordings.iter_mut().zip(&offsets).for_each(|(one, of)| correct(one, of));
+    let findings = found.iter().map(|one| finding(campaign, one)).collect();
+    Some((Differences { findings, offsets }, corrected))
 }
 
 /// Findings of [`find`] next to a model, which is fitted to a sample of the campaign's rows.
@@ -71,30 +81,50 @@ pub fn next_to(
     let setup = model.fit_setup(campaign, options)?.sampled(SEARCH_ROWS);
     let fitted = FittedModel::without_validation(&setup, model.effect_terms(path)?, options)?;
     let found = find(campaign, model, &setup, &fitted);
-    Ok(found.map_or_else(Vec::new, |(findings, _)| findings))
+    Ok(found.map_or_else(Vec::new, |(found, _)| found.findings))
 }
 
-/// Removes a difference from the recordings in memory; the place of a magnet cannot be.
-fn correct(campaign: &mut Campaign, difference: &RecordingDifference, setup: &FitSetup) {
-    for one in &difference.differences {
-        let recording = &mut campaign.recordings[one.recording];
-        match difference.cause {
-            DifferenceCause::ReferenceZero => {
-                if let Some(force) = recording.forces.get_mut(&(one.sensor, one.axis)) {
-                    force.newtons.iter_mut().for_each(|newtons| *newtons -= one.value);
+/// Offsets of each recording; the place of a magnet is none.
+fn offsets(
+    found: &[RecordingDifference],
+    setup: &FitSetup,
+    recordings: usize,
+) -> Vec<RecordingOffsets> {
+    let mut all = vec![RecordingOffsets::new(); recordings];
+    for difference in found {
+        for one in &difference.differences {
+            let Some(offsets) = all.get_mut(one.recording) else { continue };
+            match difference.cause {
+                DifferenceCause::ReferenceZero => {
+                    let place = usize::from(one.axis == Axis::Z);
+                    offsets.entry(one.sensor).or_default().reference_n[place] += one.value;
                 }
-            }
-            DifferenceCause::FieldZero => {
-                let rows = setup.rows.iter().find(|rows| rows.sensor == one.sensor);
-                let turned = Vector3::ith(one.axis as usize, one.value);
-                let offset = rows.map_or(turned, |rows| rows.orientation.to_sensor(turned));
-                if let Some(sensor) = recording.sensors.get_mut(&one.sensor) {
-                    for field in &mut sensor.field_g {
-                        (0..3).for_each(|axis| field[axis] -= offset[axis]);
-                    }
+                DifferenceCause::FieldZero => {
+                    let rows = setup.rows.iter().find(|rows| rows.sensor == one.sensor);
+                    let turned = Vector3::ith(one.axis as usize, one.value);
+                    let field = rows.map_or(turned, |rows| rows.orientation.to_sensor(turned));
+                    let sum = &mut offsets.entry(one.sensor).or_default().field_g;
+                    (0..3).for_each(|axis| sum[axis] += field[axis]);
                 }
+                DifferenceCause::MagnetPlace => {}
             }
-            DifferenceCause::MagnetPlace => {}
+        }
+    }
+    all
+}
+
+/// Removes the offsets from a recording in memory.
+fn correct(recording: &mut Recording, offsets: &RecordingOffsets) {
+    for (sensor, offset) in offsets {
+        for (axis, offset_n) in [Axis::X, Axis::Z].into_iter().zip(offset.reference_n) {
+            if let Some(force) = recording.forces.get_mut(&(*sensor, axis)) {
+                force.newtons.iter_mut().for_each(|newtons| *newtons -= offset_n);
+            }
+        }
+        if let Some(sensor) = recording.sensors.get_mut(sensor) {
+            for field in &mut sensor.field_g {
+                (0..3).for_each(|axis| field[axis] -= offset.field_g[axis]);
+            }
         }
     }
 }

@@ -1,7 +1,10 @@
 //! What separates a recording from the conditions of the tables that replay it: errors of the reference, permanent changes of the
 //! gripper since, and fields that no model of the device compensates.
 
+use std::collections::BTreeMap;
+
 use model_export::model_file::RowCorrection;
+use nalgebra::Vector3;
 
 /// Corrections of one sensor over one recording.
 #[derive(Clone, Debug)]
@@ -12,6 +15,39 @@ pub struct SensorCorrections {
     pub time_s: Vec<f64>,
     /// One for each time.
     pub rows: Vec<RowCorrection>,
+}
+
+/// Constant offsets of one sensor in a recording, to subtract.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct SensorOffsets {
+    /// Of the reference forces along x and z, in newtons.
+    pub reference_n: [f64; 2],
+    /// Of the reading in the sensor's axes, in gauss.
+    pub field_g: [f64; 3],
+}
+
+/// Offsets of a recording, by the number of the sensor.
+pub type RecordingOffsets = BTreeMap<u32, SensorOffsets>;
+
+/// Adds the offsets of a recording to its corrections.
+pub fn add_offsets(corrections: &mut Vec<SensorCorrections>, offsets: &RecordingOffsets) {
+    for (&sensor, offset) in offsets {
+        if corrections.iter().all(|own| own.sensor != sensor) {
+            let nothing = RowCorrection {
+                reference_n: [0.0; 2],
+                reading: (1.0, Vector3::zeros()),
+                force: [1.0; 2],
+                irreducible_g: Vector3::zeros(),
+            };
+            corrections.push(SensorCorrections { sensor, time_s: vec![0.0], rows: vec![nothing] });
+        }
+        let own = corrections.iter_mut().filter(|own| own.sensor == sensor);
+        for row in own.flat_map(|own| &mut own.rows) {
+            row.reference_n.iter_mut().zip(offset.reference_n).for_each(|(sum, n)| *sum += n);
+            let (gain, reading) = &mut row.reading;
+            *reading -= *gain * Vector3::from(offset.field_g);
+        }
+    }
 }
 
 /// What of the corrections a replay applies.
@@ -76,7 +112,6 @@ impl SensorCorrections {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nalgebra::Vector3;
 
     fn row(reference_n: f64, gain: f64) -> RowCorrection {
         RowCorrection {
@@ -111,5 +146,19 @@ mod tests {
         let field =
             |irreducible| corrections.at(3.0, irreducible).unwrap().field_g([0.0, 30.0, 0.0])[1];
         assert_eq!((field(Irreducible::Kept), field(Irreducible::Subtracted)), (15.0, 10.0));
+    }
+
+    #[test]
+    fn offsets_are_subtracted_from_reference_and_reading() {
+        let offset = SensorOffsets { reference_n: [4.0, 0.0], field_g: [0.0, 2.0, 0.0] };
+        let mut all =
+            vec![SensorCorrections { sensor: 0, time_s: vec![0.0], rows: vec![row(1.0, 0.5)] }];
+        add_offsets(&mut all, &[(0, offset), (1, offset)].into());
+        let at = |place: usize| all[place].at(3.0, Irreducible::Kept).unwrap();
+        assert_eq!(at(0).reference_n([10.0, 3.0]), [5.0, 3.0]);
+        assert_eq!(at(0).field_g([0.0, 30.0, 0.0]), [1.0, 14.0, 0.0]);
+        assert_eq!((all[1].sensor, at(1).reference_n([10.0, 3.0])), (1, [6.0, 3.0]));
+        assert_eq!(at(1).field_g([1.0, 30.0, 0.0]), [1.0, 28.0, 0.0]);
+        assert_eq!(at(1).estimate_n([5.0, 5.0]), [5.0, 5.0]);
     }
 }
