@@ -47,8 +47,8 @@ fn force_is_reported_within_its_noise_until_the_reader_ends() {
     // Of the default model, whose tables are those of all four sensors.
     let dir = WorkDir::empty();
     let mut monitor = Running::start(&dir, "monitor --virtual --press 20,-10 --json");
-    let output: Vec<Value> =
-        monitor.objects().skip_while(|object| board_s(object) < 0.5).take(25).collect();
+    let mut objects = monitor.objects().skip_while(|object| board_s(object) < 0.5);
+    let output: Vec<Value> = objects.by_ref().take(25).collect();
     for (sensor, x_n) in [20.0, 20.0, -20.0, -20.0].into_iter().enumerate() {
         for (force, expected) in [("fx_n", x_n), ("fz_n", -10.0)] {
             let values = output.iter().map(|object| {
@@ -61,7 +61,9 @@ fn force_is_reported_within_its_noise_until_the_reader_ends() {
             assert!((mean - expected).abs() < 0.7, "{sensor} {force}: {mean}");
         }
     }
-    let last = &output[output.len() - 1];
+    // The load is sent once a second, and a busy machine may lose one.
+    let has_load = |object: &Value| object["load"]["worst_tick_us"].is_u64();
+    let last = objects.take(200).find(has_load).expect("a load");
     assert_eq!(last["faults"], Value::Array(Vec::new()));
     assert_eq!(last["lost"]["broken_packets"], 0);
     // A busy machine may lose one; what is counted but not sent would be a thousand a second.
@@ -462,8 +464,8 @@ fn reference_on_a_socket_is_recorded_alongside() {
     assert_eq!(lines[0], "t_us,f0_x_n");
     let last: Vec<f64> =
         lines[lines.len() - 1].split(',').map(|cell| cell.parse().unwrap()).collect();
-    // 2.5 kg are 24.5166 N.
-    assert!((last[1] + 24.5166).abs() < 1e-3 && last[0] < 3.2e6, "{last:?}");
+    // 2.5 kg are 24.5166 N. Rows that arrive while a busy machine ends the recording are later than its 3 s.
+    assert!((last[1] + 24.5166).abs() < 1e-3 && last[0] < 4e6, "{last:?}");
     sender.join().unwrap();
 }
 
