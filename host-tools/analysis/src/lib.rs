@@ -2,6 +2,7 @@
 //!
 //! - [`replay`]: recordings through the device's code, compared with the reference.
 //! - [`compare`]: error of a model relative to the noise floor, and its attribution to covariates.
+//! - [`comparison`]: the same from files, with all setup errors.
 //! - [`data_quality`]: setup errors in recordings.
 //! - [`diagnose`]: missing physical effects.
 //! - [`benchmark`]: eight force estimators on a held-out recording.
@@ -20,6 +21,7 @@
 pub mod benchmark;
 pub mod calibration;
 pub mod compare;
+pub mod comparison;
 pub mod data_quality;
 pub mod diagnose;
 pub mod edit_model;

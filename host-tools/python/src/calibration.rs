@@ -7,6 +7,7 @@ use std::time::Instant;
 
 use analysis::compare::campaign_reader::{Caching, ScannedCampaign, read_campaign};
 use analysis::compare::pipeline;
+use analysis::comparison;
 use analysis::diagnose::observer::Observer;
 use analysis::diagnose::{self, Diagnosis, Scope};
 use analysis::edit_model::{edited_effects, find_effects, parse_formulas, refit};
@@ -115,7 +116,7 @@ fn compare(
         }
         let other = other.as_deref();
         let comparison =
-            pipeline::compare(&model, &campaign, other, alignment(delay_ms), options(seed))?;
+            comparison::compare(&model, &campaign, other, alignment(delay_ms), options(seed))?;
         if let Some(path) = &report {
             report::html::write(path, &comparison, &[])?;
         }
@@ -145,7 +146,7 @@ fn diagnose_campaign(
         let file = ModelFile::read(&model)?;
         let alignment = alignment(delay_ms);
         let scanned = ScannedCampaign::open(&campaign, alignment, Caching::Always)?;
-        let findings = pipeline::setup_errors_of(&scanned, &file, &model)?;
+        let mut findings = pipeline::setup_errors_of(&scanned, &file, &model)?;
         let is_stopped = findings.iter().any(|finding| finding.stops);
         let Some(reader) = scanned.reader.filter(|_| !is_stopped) else {
             let stopped = Diagnosis { findings, ..Diagnosis::default() };
@@ -165,6 +166,7 @@ fn diagnose_campaign(
         let (mut diagnosis, _) =
             diagnose::diagnose((&rows, alignment), &file, &model, &own, scope, options, &observer)?;
         drop(observer);
+        findings.append(&mut diagnosis.findings);
         diagnosis.findings = findings;
         diagnosis.set_suggestion(&own, file.base, delay_ms, is_fitted_here);
         Ok(text::diagnosis::to_json(&diagnosis))

@@ -6,7 +6,7 @@ use anyhow::Result;
 
 use crate::commands::args::CompareArgs;
 use crate::commands::print_notes;
-use analysis::compare::pipeline::{compare, setup_errors};
+use analysis::comparison::{compare, setup_errors};
 use analysis::data_quality::fix;
 use report::text::comparison::{format_report, to_json};
 use report::text::terminal;

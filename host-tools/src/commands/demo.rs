@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use analysis::compare::ForceError;
-use analysis::compare::pipeline::compare;
+use analysis::comparison::compare;
 use analysis::diagnose::observer::Observer;
 use analysis::diagnose::{Diagnosis, Scope, diagnose};
 use analysis::edit_model::refit;

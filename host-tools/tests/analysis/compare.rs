@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use analysis::compare::Comparison;
-use analysis::compare::pipeline::compare;
 use analysis::compare::{ErrorUnit, Validation, floor_g, rms_g};
+use analysis::comparison::compare;
 use analysis::notes::Note;
 use model_export::fit::FitOptions;
 use model_export::recordings::align::Alignment;

@@ -2,7 +2,7 @@
 
 use crate::compare::attribution::{Attributor, RankedCovariate};
 use crate::compare::bootstrap_bands::BlockBootstrap;
-use crate::compare::campaign_reader::{Caching, CampaignReader, ScannedCampaign};
+use crate::compare::campaign_reader::{CampaignReader, ScannedCampaign};
 use crate::compare::cv_plan::{CvPlan, ModelRefit};
 use crate::compare::field_errors::{FieldEvaluation, SensorEvaluation, evaluate_fields};
 use crate::compare::force_errors::{Recordings, evaluate_forces};
@@ -14,7 +14,6 @@ use crate::compare::{
 use crate::data_quality::campaign_checks::{campaign_findings, follows_field};
 use crate::data_quality::model_checks::SensorPrediction;
 use crate::data_quality::{Finding, check_against_model, merge};
-use crate::diagnose::recording_differences;
 use crate::noise_floor::NoiseSummary;
 use crate::notes::{Note, collect};
 use crate::progress;
@@ -27,7 +26,6 @@ use model_export::fit::joint::JointFit;
 use model_export::fit::rows::SensorRows;
 use model_export::model_file::{ModelFile, Predictor};
 use model_export::recordings::Location;
-use model_export::recordings::align::Alignment;
 use model_export::recordings::columns::Axis;
 use model_export::recordings::noise::autocorrelation_rows;
 use std::borrow::Cow;
@@ -36,55 +34,7 @@ use std::path::Path;
 /// Minimum length of a bootstrap block in seconds.
 const MIN_BLOCK_S: f64 = 1.0;
 
-/// Compares the model at `path`, and the one at `other` on the same rows, with a campaign.
-///
-/// # Errors
-/// A file cannot be read, or model and recordings do not match.
-pub fn compare(
-    path: &Path,
-    campaign: &Path,
-    other: Option<&Path>,
-    alignment: Alignment,
-    options: FitOptions,
-) -> Result<Comparison> {
-    let model = ModelFile::read(path)?;
-    let scanned = ScannedCampaign::open(campaign, alignment, Caching::IfFew)?;
-    let findings = with_differences(&scanned, &model, path, options)?;
-    compare_scanned((path, &model), other, (scanned, findings), None, options)
-}
-
-/// Setup errors of a campaign, from its files, from the predictions of the model at `path`, and by what differs between recordings.
-///
-/// # Errors
-/// A file cannot be read.
-pub fn setup_errors(
-    path: &Path,
-    campaign: &Path,
-    alignment: Alignment,
-    options: FitOptions,
-) -> Result<Vec<Finding>> {
-    let model = ModelFile::read(path)?;
-    let scanned = ScannedCampaign::open(campaign, alignment, Caching::IfFew)?;
-    with_differences(&scanned, &model, path, options)
-}
-
-/// [`setup_errors_of`] and what differs between the recordings of a campaign in memory, if nothing else stops an evaluation.
-fn with_differences(
-    scanned: &ScannedCampaign,
-    model: &ModelFile,
-    path: &Path,
-    options: FitOptions,
-) -> Result<Vec<Finding>> {
-    let mut findings = setup_errors_of(scanned, model, path)?;
-    let is_stopped = findings.iter().any(|finding| finding.stops);
-    let campaign = scanned.reader.as_ref().and_then(CampaignReader::cached);
-    if let Some(campaign) = campaign.filter(|_| !is_stopped) {
-        findings.extend(recording_differences::next_to(campaign, model, path, options)?);
-    }
-    Ok(findings)
-}
-
-/// [`setup_errors`] of a campaign that is already open.
+/// Setup errors of a campaign, from its files and from the predictions of the model at `path`.
 ///
 /// # Errors
 /// A recording cannot be read.
@@ -105,7 +55,7 @@ pub fn setup_errors_of(
     Ok(findings)
 }
 
-/// [`compare`] on a campaign that is already open, with its setup errors ([`setup_errors_of`]). `refit` is a fit of the model to all of its recordings, if known.
+/// Compares the model at `path`, and the one at `other` on the same rows, with a campaign and its setup errors. `refit` is a fit of the model to all of its recordings, if known.
 ///
 /// # Errors
 /// A file cannot be read, or model and recordings do not match.

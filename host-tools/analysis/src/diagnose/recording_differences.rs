@@ -1,9 +1,7 @@
 //! Differences between recordings as findings: a reference whose zero was set again, another offset of the field, another place of
 //! a magnet. They come before any effect of time: those would follow the steps from recording to recording.
 
-use std::path::Path;
-
-use anyhow::Result;
+use model_export::effects::EffectTerm;
 use model_export::fit::FitOptions;
 use model_export::fit::campaign::{FitSetup, SEARCH_ROWS};
 use model_export::fit::recording_differences::{
@@ -39,7 +37,7 @@ pub struct Differences {
     pub offsets: Vec<RecordingOffsets>,
 }
 
-/// Differences of a campaign's recordings that no effect of the catalogue makes that `fitted` lacks, and the campaign without those
+/// Differences of a campaign's recordings that no effect of the catalogue missing from `fitted` makes, and the campaign without those
 /// of a zero; `None` where there are none. `setup` is a sample of its rows, `model` the file with the base of `fitted`.
 pub fn find(
     campaign: &Campaign,
@@ -68,20 +66,19 @@ pub fn find(
     Some((Differences { findings, offsets }, corrected))
 }
 
-/// Findings of [`find`] next to a model, which is fitted to a sample of the campaign's rows.
-///
-/// # Errors
-/// The model cannot be fitted to the campaign.
+/// Findings of [`find`] next to a model, which is fitted to a sample of the campaign's rows; none where these do not determine it.
 pub fn next_to(
     campaign: &Campaign,
     model: &ModelFile,
-    path: &Path,
+    effects: Vec<EffectTerm>,
     options: FitOptions,
-) -> Result<Vec<Finding>> {
-    let setup = model.fit_setup(campaign, options)?.sampled(SEARCH_ROWS);
-    let fitted = FittedModel::without_validation(&setup, model.effect_terms(path)?, options)?;
-    let found = find(campaign, model, &setup, &fitted);
-    Ok(found.map_or_else(Vec::new, |(found, _)| found.findings))
+) -> Vec<Finding> {
+    let setup = model.fit_setup(campaign, options).map(|setup| setup.sampled(SEARCH_ROWS));
+    let found = setup.ok().and_then(|setup| {
+        let fitted = FittedModel::without_validation(&setup, effects, options).ok()?;
+        find(campaign, model, &setup, &fitted)
+    });
+    found.map_or_else(Vec::new, |(found, _)| found.findings)
 }
 
 /// Offsets of each recording; the place of a magnet is none.
