@@ -6,11 +6,15 @@ use crate::fit::rows::SensorRows;
 use crate::fit::tall_products::{columns, gram, products};
 use crate::physics::{FieldResponse, PhysicalState};
 use nalgebra::{DMatrix, DVector};
+use std::collections::BTreeSet;
 use std::ops::Range;
 use std::sync::Arc;
 
 /// Scale of columns without a prior, in noise floors: large, so that no prior limits them.
 pub(super) const COLUMN_HEIGHT: f64 = 1000.0;
+
+/// Rows of a recording in [`Linearisation::at_solution`].
+const ROWS: usize = 1000;
 
 /// Residual and Jacobian of a fitted model on a subset of rows.
 #[derive(Clone)]
@@ -72,6 +76,15 @@ impl Linearisation {
             rows: Arc::new(rows),
             covariates: Arc::new(covariates),
         }
+    }
+
+    /// At values where everything was fitted, with [`ROWS`] of each recording.
+    pub fn at_solution(problem: &SensorProblem, values: &[f64]) -> Self {
+        // A parameter of a recording without rows in the sample has no derivatives.
+        let parts = &problem.rows.parts;
+        let filled = (0..parts.len()).filter(|&part| !parts[part].is_empty());
+        let fitted: BTreeSet<usize> = filled.flat_map(|part| problem.acting(part)).collect();
+        Self::new(problem, values, &fitted.into_iter().collect::<Vec<_>>(), ROWS)
     }
 
     /// Every `step`-th row.

@@ -15,7 +15,7 @@
 //! - [`initial_guess`]: grid search for the shape parameters of effects, least squares for their coefficients.
 //! - [`joint`]: all sensors together, with pooled shared parameters.
 //! - [`effect_size`]: magnitude of an effect over all sensors.
-//! - [`recording_differences`]: zeros, gains and places that differ between recordings.
+//! - [`recording_differences`]: zeros and places that differ between recordings.
 //! - [`score_test`]: test of a candidate effect without refitting.
 //! - [`campaign`]: from a campaign to its fits.
 

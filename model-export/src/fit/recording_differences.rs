@@ -4,7 +4,6 @@
 //! A fitted model is linearised at its solution, and each cause gets a coefficient for each recording but the first. A cause counts where it lowers the error of rows that the regression did not use, and where its
 //! coefficients scatter little within a recording: noise that wanders differs as much from one part of a recording to the next.
 
-use std::collections::BTreeSet;
 use std::ops::Range;
 
 use nalgebra::{DMatrix, DVector, Vector3};
@@ -23,8 +22,6 @@ use crate::recordings::columns::Axis;
 
 /// Parts of each recording.
 const PARTS: usize = 4;
-/// Rows of a recording that are used.
-const ROWS: usize = 1000;
 /// Rows of a part, at least.
 const LEAST_ROWS: usize = 20;
 /// Residual in noise floors from which recordings are compared.
@@ -48,24 +45,16 @@ const CLEAR_SIGMAS: f64 = 12.0;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum DifferenceCause {
-    /// Zero of the reference, in newtons.
+    /// Zero of the reference at the sensor's own place, in newtons.
     ReferenceZero,
     /// Offset of the field, in gauss.
     FieldZero,
-    /// Place of the magnet at the sensor, in micrometres.
+    /// Place of the magnet at the sensor, in micrometres; with the cylinder base only.
     MagnetPlace,
 }
 
 impl DifferenceCause {
     const ALL: [Self; 3] = [Self::ReferenceZero, Self::FieldZero, Self::MagnetPlace];
-
-    /// Components, by the axes of the sensor's forces.
-    fn components(self, forces: &[(u32, Axis)]) -> Vec<Axis> {
-        match self {
-            Self::ReferenceZero => forces.iter().map(|(_, axis)| *axis).collect(),
-            Self::FieldZero | Self::MagnetPlace => Axis::ALL.to_vec(),
-        }
-    }
 
     /// Unit of the coefficients.
     pub const fn unit(self) -> &'static str {
@@ -91,7 +80,7 @@ impl DifferenceCause {
 }
 
 /// A coefficient of a cause.
-#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Difference {
     /// Number of the sensor.
     pub sensor: u32,
@@ -123,6 +112,8 @@ struct Sensor<'a> {
     rows: &'a SensorRows,
     linearisation: Linearisation,
     stiffness: [f64; 2],
+    /// Whether the base is that of a magnet.
+    has_magnet: bool,
     /// Weights of each row's axes.
     weights: Vec<Vector3<f64>>,
     /// Fixed columns and target, by parts of the recordings.
@@ -132,11 +123,8 @@ struct Sensor<'a> {
 }
 
 impl<'a> Sensor<'a> {
-    fn new(rows: &'a SensorRows, problem: &SensorProblem<'a>, values: &[f64]) -> Self {
-        let filled = (0..rows.parts.len()).filter(|&part| !rows.parts[part].is_empty());
-        let fixed: BTreeSet<usize> = filled.flat_map(|part| problem.acting(part)).collect();
-        let fixed: Vec<usize> = fixed.into_iter().collect();
-        let linearisation = Linearisation::new(problem, values, &fixed, ROWS);
+    fn new(problem: &SensorProblem<'a>, values: &[f64], has_magnet: bool) -> Self {
+        let linearisation = Linearisation::at_solution(problem, values);
         let places: Vec<(usize, usize)> = linearisation.places().collect();
         let mut parts = Vec::new();
         let mut start = 0;
@@ -157,7 +145,19 @@ impl<'a> Sensor<'a> {
         );
         let weights = places.iter().map(|&(part, row)| problem.row_weights(part, row)).collect();
         let stiffness = problem.base.stiffness(values);
-        Self { rows, linearisation, stiffness, weights, normals, parts }
+        Self { rows: problem.rows, linearisation, stiffness, has_magnet, weights, normals, parts }
+    }
+
+    /// Components of a cause; none where it cannot be tested.
+    fn components(&self, cause: DifferenceCause) -> Vec<Axis> {
+        match cause {
+            DifferenceCause::ReferenceZero => {
+                let own = self.rows.forces.iter().filter(|(place, _)| *place == self.rows.sensor);
+                own.map(|(_, axis)| *axis).collect()
+            }
+            DifferenceCause::MagnetPlace if !self.has_magnet => Vec::new(),
+            DifferenceCause::FieldZero | DifferenceCause::MagnetPlace => Axis::ALL.to_vec(),
+        }
     }
 
     /// Weighted columns of a cause's components over all rows.
@@ -172,13 +172,13 @@ impl<'a> Sensor<'a> {
                 .collect();
             DVector::from_vec(entries)
         };
-        cause.components(&self.rows.forces).iter().map(of).collect()
+        self.components(cause).iter().map(of).collect()
     }
 
     /// Columns of each component on these groups of rows.
-    fn columns(patterns: &[DVector<f64>], groups: &[Vec<Range<usize>>]) -> DMatrix<f64> {
-        let size = patterns.first().map_or(0, DVector::len);
-        let mut columns = DMatrix::zeros(size, patterns.len() * groups.len());
+    fn columns(&self, patterns: &[DVector<f64>], groups: &[Vec<Range<usize>>]) -> DMatrix<f64> {
+        let values = self.linearisation.residual().len();
+        let mut columns = DMatrix::zeros(values, patterns.len() * groups.len());
         for (group, ranges) in groups.iter().enumerate() {
             for (component, pattern) in patterns.iter().enumerate() {
                 let mut column = columns.column_mut(group * patterns.len() + component);
@@ -191,7 +191,7 @@ impl<'a> Sensor<'a> {
         columns
     }
 
-    /// Rows of each recording but the first that has any.
+    /// Rows of each recording but the first.
     fn later(&self) -> Vec<Vec<Range<usize>>> {
         let recordings = self.parts.chunk_by(|a, b| a.0 == b.0).skip(1);
         recordings.map(|parts| parts.iter().map(|(_, rows)| rows.clone()).collect()).collect()
@@ -199,11 +199,11 @@ impl<'a> Sensor<'a> {
 
     fn tried(&self, cause: DifferenceCause) -> Tried {
         let patterns = self.patterns(cause);
-        let columns = Self::columns(&patterns, &self.later());
+        let columns = self.columns(&patterns, &self.later());
         let with = self.normals.with(&columns);
         let each: Vec<Vec<Range<usize>>> =
             self.parts.iter().skip(1).map(|(_, rows)| vec![rows.clone()]).collect();
-        let by_part = self.normals.with(&Self::columns(&patterns, &each));
+        let by_part = self.normals.with(&self.columns(&patterns, &each));
         let first = self.normals.fixed().ncols();
         let (_, values) = least_residual(&by_part);
         // Of the first part they are zero.
@@ -213,7 +213,7 @@ impl<'a> Sensor<'a> {
 
     /// Significant differences of a cause between the recordings, with their standard errors.
     fn differences(&self, cause: DifferenceCause, tried: &Tried) -> Vec<Difference> {
-        let components = cause.components(&self.rows.forces);
+        let components = self.components(cause);
         let count = components.len();
         let recordings: Vec<usize> =
             self.parts.chunk_by(|a, b| a.0 == b.0).map(|parts| parts[0].0).collect();
@@ -245,8 +245,11 @@ impl<'a> Sensor<'a> {
         found
     }
 
+    /// Whether there are several recordings, each with enough rows.
     fn is_long_enough(&self) -> bool {
-        self.parts.len() > PARTS && self.parts.iter().all(|(_, rows)| rows.len() >= LEAST_ROWS)
+        self.parts.len() == PARTS * self.rows.parts.len()
+            && self.rows.parts.len() > 1
+            && self.parts.iter().all(|(_, rows)| rows.len() >= LEAST_ROWS)
     }
 }
 
@@ -269,13 +272,14 @@ pub fn recording_differences(
 ) -> Vec<RecordingDifference> {
     let mut effects = effects.to_vec();
     effects.sort_by_key(EffectTerm::stage);
-    let sensors: Vec<(&SensorRows, &[f64])> =
-        setup.rows.iter().zip(values.iter().map(Vec::as_slice)).collect();
-    let mut sensors: Vec<Sensor> = sensors
-        .into_par_iter()
+    let has_magnet = setup.design.is_some();
+    let mut sensors: Vec<Sensor> = setup
+        .rows
+        .par_iter()
         .zip(&setup.bases)
-        .map(|((rows, values), base)| {
-            Sensor::new(rows, &SensorProblem::new(rows, base.as_ref(), &effects), values)
+        .zip(values)
+        .map(|((rows, base), values)| {
+            Sensor::new(&SensorProblem::new(rows, base.as_ref(), &effects), values, has_magnet)
         })
         .collect();
     if sensors.is_empty() || !sensors.iter().all(Sensor::is_long_enough) {

@@ -5,8 +5,6 @@
 //! held-out rows; and its explained sum of squares is compared with that under random signs of residual blocks
 //! (Wu's wild bootstrap).
 
-use std::collections::BTreeSet;
-
 use crate::effects::{Aggregation, EffectParameter, EffectTerm, ParameterKind};
 use crate::fit::campaign::FitSetup;
 use crate::fit::cross_validation::{CvSplit, Fold};
@@ -21,8 +19,6 @@ use crate::physics::{FieldResponse, PhysicalState};
 use nalgebra::{DMatrix, DVector, Matrix2x3, Matrix3, Vector3};
 use rayon::prelude::*;
 
-/// Rows of a recording that are used.
-const ROWS: usize = 1000;
 /// A typical magnitude in prior widths, which are the unit of all columns.
 const TYPICAL: f64 = 0.1;
 /// Knots of the spline in time, over each recording.
@@ -123,11 +119,7 @@ impl<'a> ScoreTest<'a> {
             .map(|s| {
                 let rows = &setup.rows[s];
                 let problem = SensorProblem::new(rows, setup.bases[s].as_ref(), &effects);
-                // A parameter of a recording without rows in the sample has no derivatives.
-                let filled = (0..rows.parts.len()).filter(|&part| !rows.parts[part].is_empty());
-                let fixed: BTreeSet<usize> = filled.flat_map(|part| problem.acting(part)).collect();
-                let fixed: Vec<usize> = fixed.into_iter().collect();
-                let linearisation = Linearisation::new(&problem, &values[s], &fixed, ROWS);
+                let linearisation = Linearisation::at_solution(&problem, &values[s]);
                 let place = |(part, row): (usize, usize)| {
                     let time_s = rows.parts[part].track.time_s[row];
                     firsts[part] + (time_s / block_s) as usize
