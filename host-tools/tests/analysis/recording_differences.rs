@@ -19,7 +19,11 @@ fn shifted(campaign: &str, table: &str, shifts: &[(u32, &str, f64)]) -> Campaign
 
 /// A base model fitted to a campaign, and its diagnosis.
 fn diagnosed(dir: &WorkDir, campaign: &str) -> Value {
-    dir.stdout(&["fit", campaign, "-o", "model.toml"]);
+    diagnosed_with("cylinder", dir, campaign)
+}
+
+fn diagnosed_with(base: &str, dir: &WorkDir, campaign: &str) -> Value {
+    dir.stdout(&["fit", campaign, "--base", base, "-o", "model.toml"]);
     dir.json(&["diagnose", "model.toml", campaign, "--json"])
 }
 
@@ -71,6 +75,17 @@ fn zeros_of_the_reference_are_found_and_corrected() {
     let again = diagnosed(&dir, &repaired.display().to_string());
     assert_eq!(difference(&again), None);
     assert_nothing_else(&again);
+}
+
+#[test]
+fn a_polynomial_has_no_place_of_a_magnet() {
+    let spoilt = shifted("clean", "force.csv", &[(2, "f0_x_n", 4.0)]);
+    let (dir, campaign) = (WorkDir::empty(), spoilt.path().display().to_string());
+    let diagnosis = diagnosed_with("polynomial", &dir, &campaign);
+    let message = difference(&diagnosis).expect("a finding");
+    assert!(message.contains("f0_x_n by +3.9") && !message.contains("as much. On"), "{message}");
+    let [.., fit] = &diagnosis["next"].as_array().unwrap()[..] else { panic!("{diagnosis}") };
+    assert!(fit.as_str().unwrap().contains("--base polynomial"), "{fit}");
 }
 
 #[test]

@@ -103,6 +103,17 @@ pub fn suggest(diagnosis: &Diagnosis, typed: &Invocation) -> Suggestion {
         }
         line(&words)
     };
+    let fit = |campaign: &str, delay_ms: f64| {
+        let mut words = ["cargo", "magpie", "fit", campaign].map(str::to_owned).to_vec();
+        if delay_ms != 0.0 {
+            words.extend(["--delay-ms".to_owned(), delay_ms.to_string()]);
+        }
+        if typed.base == BaseKind::Polynomial {
+            words.extend(["--base", "polynomial"].map(str::to_owned));
+        }
+        words.extend(["-o".to_owned(), better(typed.model)]);
+        line(&words)
+    };
     let suggestion = |kind, commands| Suggestion { kind, commands };
     let report = || vec![command("compare", &["-o", "report.html"].map(str::to_owned))];
     let mut differences =
@@ -114,24 +125,14 @@ pub fn suggest(diagnosis: &Diagnosis, typed: &Invocation) -> Suggestion {
             return suggestion(SuggestionKind::Compare, report());
         }
         let copy = format!("{}-corrected", typed.campaign.trim_end_matches('/'));
-        let fit = ["cargo", "magpie", "fit", &copy, "-o", &better(typed.model)].map(str::to_owned);
-        let mut fit = fit.to_vec();
-        if typed.base == BaseKind::Polynomial {
-            fit.extend(["--base", "polynomial"].map(str::to_owned));
-        }
-        let commands = vec![command("compare", &["--fix".to_owned(), copy]), line(&fit)];
+        let fit = fit(&copy, typed.delay_ms);
+        let commands = vec![command("compare", &["--fix".to_owned(), copy]), fit];
         return suggestion(SuggestionKind::CorrectRecordings, commands);
     }
     if let Some(skew_ms) = clock_skew_ms(diagnosis) {
         // The device cannot compensate it; with the clocks aligned, the other effects are found again.
         let delay_ms = ((typed.delay_ms + skew_ms) * 1e2).round() / 1e2;
-        let mut words = ["cargo", "magpie", "fit", typed.campaign].map(str::to_owned).to_vec();
-        words.extend(["--delay-ms".to_owned(), delay_ms.to_string()]);
-        if typed.base == BaseKind::Polynomial {
-            words.extend(["--base", "polynomial"].map(str::to_owned));
-        }
-        words.extend(["-o".to_owned(), better(typed.model)]);
-        return suggestion(SuggestionKind::AlignClocks, vec![line(&words)]);
+        return suggestion(SuggestionKind::AlignClocks, vec![fit(typed.campaign, delay_ms)]);
     }
     if let Some(sets) = sets(&diagnosis.accepted) {
         let add = |set: &Vec<&str>| {
