@@ -13,7 +13,7 @@
 //! - [`formulas`]: formulas of the covariates, where the catalogue leaves structure.
 //! - [`observer`]: progress, first answer, early end.
 //! - [`verdicts`]: a verdict on every candidate.
-//! - [`recording_differences`]: zeros, gains and places that differ between recordings, before any effect.
+//! - [`recording_differences`]: zeros and places that differ between recordings, before any effect.
 //! - [`recording_plan`]: the shortest recording that decides what is open.
 //! - [`recording_check`]: effects on which recordings can decide, before a diagnosis.
 //! - [`suggestions`]: the next command.
@@ -389,9 +389,9 @@ impl Scope {
 }
 
 /// Diagnoses which effects `model` (read from `path`) does not contain on `campaign`: those of the catalogue and the user's
-/// `own`. The campaign was read with `alignment`. `observer` receives the progress and can end it early. The second value is the fit of
+/// `own`. The campaign was read with `alignment`. `observer` receives the progress and can end it early. What differs between
+/// recordings without a covariate is a finding, and effects are sought on the recordings without it. The second value is the fit of
 /// `model` to the campaign, where its cross-validation is that of a comparison.
-/// What differs between recordings without a covariate is a finding, and effects are sought on the recordings without it.
 ///
 /// # Errors
 /// A fit fails.
@@ -411,10 +411,10 @@ pub fn diagnose(
     // Next to the model, and next to what was found to be missing from it.
     let mut is_corrected =
         |campaign: &mut Cow<Campaign>, setup: &FitSetup, fitted: &FittedModel| {
-            observer.stage("comparing recordings", DIFFERENCES);
             if !scope.catalogue || differences.is_some() {
                 return false;
             }
+            observer.stage("comparing recordings", DIFFERENCES);
             let found = recording_differences::find(campaign, model, setup, fitted);
             let Some((found, corrected)) = found else { return false };
             differences = Some(found);

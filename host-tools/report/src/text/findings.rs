@@ -257,8 +257,9 @@ pub fn message(finding: &Finding) -> String {
             let or = match equivalent.as_slice() {
                 [] => String::new(),
                 others => format!(
-                    " On these recordings {} explains as much.",
-                    list(others.iter().map(|other| difference_name(*other)))
+                    " On these recordings {} {} as much.",
+                    list(others.iter().map(|other| difference_name(*other))),
+                    if others.len() == 1 { "explains" } else { "explain" }
                 ),
             };
             format!(
@@ -268,7 +269,8 @@ pub fn message(finding: &Finding) -> String {
                 floors[1],
                 difference_advice(*cause),
                 match cause {
-                    DifferenceCause::MagnetPlace => "cannot do without it",
+                    DifferenceCause::MagnetPlace =>
+                        "searches for effects on the recordings as they are",
                     _ => "searches for effects on the recordings without it",
                 }
             )
