@@ -78,7 +78,7 @@ impl Linearisation {
         }
     }
 
-    /// At values where everything was fitted, with [`ROWS`] of each recording.
+    /// At values where everything was fitted, with up to `ROWS` rows of each recording.
     pub fn at_solution(problem: &SensorProblem, values: &[f64]) -> Self {
         // A parameter of a recording without rows in the sample has no derivatives.
         let parts = &problem.rows.parts;
