@@ -226,6 +226,8 @@ def main():
     failed = False
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path="/usr/bin/chromium", args=["--no-sandbox"])
+        # The first page of a browser waits for the browser to start, on a busy machine for longer than a page may.
+        Page(browser, path, next(iter(SCREENS.values())), "light").page.context.close()
         cases = [(screen, scheme, True) for screen in SCREENS for scheme in ("light", "dark")]
         cases += [(screen, "light", False) for screen in SCREENS]
         for screen, scheme, script in cases:
