@@ -10,6 +10,7 @@ use crate::recordings::description::{NominalDesign, RECORDING_FILE};
 use crate::recordings::error::{DataError, ErrorKind, Location, Notice};
 use crate::recordings::in_order;
 use crate::recordings::recording::{Recording, recording_name};
+use crate::recordings::repeated_settings;
 
 /// All recordings of one gripper in order of their start.
 #[derive(Clone, Debug)]
@@ -35,9 +36,15 @@ impl Campaign {
             Ok::<_, DataError>(recording)
         }))?;
         recordings.sort_by(|a, b| a.description.start_s.total_cmp(&b.description.start_s));
-        let campaign = Self { folder: folder.to_path_buf(), recordings };
+        let campaign = Self::of(folder.to_path_buf(), recordings);
         campaign.check_same_gripper()?;
         Ok(campaign)
+    }
+
+    /// All recordings of a folder, in order of their start.
+    pub fn of(folder: PathBuf, mut recordings: Vec<Recording>) -> Self {
+        repeated_settings::between(&mut recordings);
+        Self { folder, recordings }
     }
 
     /// Rows of all recordings, on the clock of the reference.

@@ -8,12 +8,14 @@
 //! - [`csv_table`]: streaming reader of `.csv` and `.csv.gz` with validation and clock checks.
 //! - [`noise`]: white-noise estimate from third differences.
 //! - [`noise_model`]: noise of the aligned rows by several estimators, and whether their order carries time.
+//! - `repeated_settings`: pure error of a table of settings.
 //! - [`smooth_field`]: the smooth that removes the motion of the load from that estimate.
 //! - [`align`]: resampling of the board's stream onto the reference clock.
 //! - [`stream`]: rows of one recording, on the reference clock or at the board's rate.
 //! - [`recording`]: one recording, validated, aligned and in memory.
 //! - [`campaign`]: all recordings of one gripper.
 //! - [`dependence`]: recordings of a campaign that are not independent.
+//! - [`harmonics`]: harmonics of the rotor's turn in a field.
 //! - [`mapping`]: mapping files and attitude conversion for imports.
 //! - [`import`]: conversion of third-party tables to a campaign.
 //! - [`mcap`]: topics of MCAP files and ROS 2 bags as tables, and the writer of MCAP files.
@@ -27,6 +29,7 @@ pub mod dependence;
 pub mod description;
 pub mod error;
 pub mod guess;
+pub mod harmonics;
 pub mod import;
 pub mod mapping;
 pub mod mcap;
@@ -34,6 +37,7 @@ pub mod noise;
 pub mod noise_model;
 mod readers;
 pub mod recording;
+mod repeated_settings;
 pub mod smooth_field;
 pub mod stream;
 pub mod units;

@@ -1,5 +1,5 @@
-//! Noise of a recording on its aligned rows, by several estimators: scatter of repeated settings, scatter about a smooth, differences
-//! of successive rows, and differences of the residual of a smooth in the forces and covariates.
+//! Noise of a recording on its aligned rows, by several estimators: scatter about a smooth, differences of successive rows, and
+//! differences of the residual of a smooth in the forces and covariates.
 //!
 //! Differences of the raw rows hold the motion of the load where rows are sparse (a reference at 10 Hz) or the load is rough. What a
 //! polynomial in the forces and covariates explains is therefore removed before differences are taken (difference-based variance
@@ -103,8 +103,6 @@ const MIN_JITTER: (f64, f64) = (0.05, 4.0);
 const DENSE_ROWS: f64 = 5.0;
 /// Minimum number of rows of the estimators by differences.
 const MIN_ROWS: usize = 40;
-/// Degrees of freedom of repeated settings, and their number, at least.
-const MIN_REPEATS: (usize, usize) = (8, 5);
 /// Gain of the variance of third differences.
 const GAIN: f64 = 20.0;
 /// Degrees of freedom of the mean square of third differences for each row (see [`crate::recordings::noise`]).
@@ -290,9 +288,6 @@ impl SensorNoise {
 impl NoiseEstimate {
     /// Estimates the noise of a recording, and sets that of its sensors and forces where raw differences of successive rows are none.
     pub fn of(recording: &mut Recording) -> Self {
-        if let Some(repeats) = Self::by_repeats(recording) {
-            return repeats;
-        }
         let numbers: Vec<u32> = recording.sensors.keys().copied().collect();
         let step = numbers.first().map_or(1, |sensor| sample_rows(recording, *sensor));
         let smooths = numbers.iter().filter_map(|&sensor| {
@@ -317,47 +312,6 @@ impl NoiseEstimate {
             .map(|(sensor, smooth)| differences(recording, sensor, smooth, step))
             .collect();
         Self { correlation_s, covariates, ..Self::by_differences(recording, sensors, step) }
-    }
-
-    /// Pure error of a designed recording: at least half of its rows repeat a setting.
-    fn by_repeats(recording: &mut Recording) -> Option<Self> {
-        let settings = settings(recording)?;
-        let mut floors2 = Vec::new();
-        let mut found = Vec::new();
-        for (&number, sensor) in &recording.sensors {
-            let mut squares = Vector3::zeros();
-            let (mut freedom, mut rows, mut groups) = (0, 0, 0);
-            for setting in &settings {
-                let values = setting.iter().filter_map(|&row| sensor.field_g.get(row));
-                let values: Vec<Vector3<f64>> = values
-                    .filter(|field| field.iter().all(|b| b.is_finite()))
-                    .map(|field| Vector3::from(*field))
-                    .collect();
-                if values.len() < 2 {
-                    continue;
-                }
-                let mean = values.iter().sum::<Vector3<f64>>() / values.len() as f64;
-                squares += values.iter().map(|b| (b - mean).map(|x| x * x)).sum::<Vector3<f64>>();
-                freedom += values.len() - 1;
-                rows += values.len();
-                groups += 1;
-            }
-            let is_designed = 2 * rows >= recording.time_s.len();
-            if freedom < MIN_REPEATS.0 || groups < MIN_REPEATS.1 || !is_designed {
-                return None;
-            }
-            let variance = squares / freedom as f64;
-            floors2.push(variance.sum() / 3.0);
-            found.push((number, variance.map(f64::sqrt)));
-        }
-        let floor_g = root_mean(&floors2)?;
-        set_total(recording, &found);
-        Some(Self {
-            estimator: NoiseEstimator::Repeats,
-            floors_g: vec![(NoiseEstimator::Repeats, floor_g)],
-            sample_rows: 1,
-            ..Self::default()
-        })
     }
 
     fn by_smooth(recording: &mut Recording, smooths: &[(u32, SmoothField)]) -> Self {
@@ -398,7 +352,9 @@ impl NoiseEstimate {
         let jitter2: f64 = sensors.iter().map(of_clock).sum();
         let all2: f64 = sensors.iter().map(|sensor| sensor.floor2(&sensor.adjusted)).sum();
         let errors = clock * weights.sqrt();
-        let is_jitter = jitter2 > MIN_JITTER.0 * all2 && errors > MIN_JITTER.1;
+        // Rows without a clock are settings, between which the load does not move.
+        let has_clock = !recording.description.is_clock_assumed();
+        let is_jitter = has_clock && jitter2 > MIN_JITTER.0 * all2 && errors > MIN_JITTER.1;
         if !is_jitter {
             sensors.iter_mut().for_each(|sensor| sensor.split(false));
         }
@@ -447,12 +403,12 @@ impl NoiseEstimate {
 }
 
 /// Root of the mean of squares.
-fn root_mean(squares: &[f64]) -> Option<f64> {
+pub(super) fn root_mean(squares: &[f64]) -> Option<f64> {
     (!squares.is_empty()).then(|| (squares.iter().sum::<f64>() / squares.len() as f64).sqrt())
 }
 
 /// Sets noise that holds all that differs between rows of equal settings: that of the forces is part of it.
-fn set_total(recording: &mut Recording, found: &[(u32, Vector3<f64>)]) {
+pub(super) fn set_total(recording: &mut Recording, found: &[(u32, Vector3<f64>)]) {
     let gain = recording.noise_gain;
     for (number, noise_g) in found {
         if let Some(sensor) = recording.sensors.get_mut(number) {
@@ -480,24 +436,6 @@ fn apply(recording: &mut Recording, sensors: &[SensorNoise]) {
             force.noise_n = noise_n;
         }
     }
-}
-
-/// Rows with equal forces and covariates, bit by bit; `None` without columns or in a long time series.
-fn settings(recording: &Recording) -> Option<Vec<Vec<usize>>> {
-    let forces = recording.forces.values().map(|force| &force.newtons);
-    let columns: Vec<&Vec<f64>> = forces.chain(recording.covariates.values()).collect();
-    if columns.is_empty() {
-        return None;
-    }
-    let mut rows: Vec<usize> = (0..recording.time_s.len()).collect();
-    let key = |row: usize| columns.iter().map(move |column| column.get(row).copied());
-    let order = |a: &usize, b: &usize| key(*a).partial_cmp(key(*b));
-    rows.sort_by(|a, b| order(a, b).unwrap_or(std::cmp::Ordering::Equal));
-    let equal = |a: &usize, b: &usize| key(*a).eq(key(*b));
-    let settings: Vec<Vec<usize>> = rows.chunk_by(equal).map(<[usize]>::to_vec).collect();
-    // A rest in a time series is one setting of many rows.
-    let longest = settings.iter().map(Vec::len).max().unwrap_or(0);
-    (4 * longest <= rows.len()).then_some(settings)
 }
 
 /// Whether neither the settings nor the residual have an order, though the field follows the settings.

@@ -13,7 +13,8 @@ use crate::recordings::align::Alignment;
 use crate::recordings::columns::{Axis, ChannelLayout, ForceColumn, HallColumn};
 use crate::recordings::description::RecordingDescription;
 use crate::recordings::error::{DataError, ErrorKind, Location, Notice};
-use crate::recordings::noise_model::NoiseEstimate;
+use crate::recordings::noise_model::{NoiseEstimate, RowOrder};
+use crate::recordings::repeated_settings;
 use crate::recordings::stream::{AlignedRow, AlignedStream, StreamSummary};
 
 /// One uninterrupted run on the reference clock.
@@ -119,7 +120,8 @@ impl Recording {
         }
         recording.noise_gain = (squares / recording.time_s.len() as f64).sqrt();
         recording.finish(&layout, stream.summary());
-        recording.noise = NoiseEstimate::of(&mut recording);
+        let repeats = repeated_settings::within(&mut recording);
+        recording.noise = repeats.unwrap_or_else(|| NoiseEstimate::of(&mut recording));
         Ok(recording)
     }
 
@@ -155,6 +157,18 @@ impl Recording {
             sha256: self.sha256.clone(),
             ..*self
         }
+    }
+
+    /// Whether the values of a covariate (`temp_c` for a temperature) were set anew for each row: they vary from row to row, as noise does,
+    /// but the field follows them, or the order of the rows carries no time.
+    pub fn is_set_by_row(&self, covariate: &str) -> bool {
+        let has_order = self.noise.order == RowOrder::Time && !self.description.is_clock_assumed();
+        let varies = |values: &[f64]| values.windows(2).any(|pair| pair[0] != pair[1]);
+        let is_constant = || match self.covariates.get(covariate) {
+            Some(values) => !varies(values),
+            None => !self.sensors.values().any(|sensor| varies(&sensor.temperature_c)),
+        };
+        self.noise.follows(covariate) || (!has_order && !is_constant())
     }
 
     /// Time from the first to the last row in seconds.

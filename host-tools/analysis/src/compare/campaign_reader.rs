@@ -128,7 +128,7 @@ impl CampaignReader {
                 (1..source.names.len()).into_par_iter().map(read).collect();
             let recordings = std::iter::once(Ok(first)).chain(others).collect::<Result<_, _>>()?;
             bar.finish_and_clear();
-            source.cache = Some(Campaign { folder: folder.to_path_buf(), recordings });
+            source.cache = Some(Campaign::of(folder.to_path_buf(), recordings));
         }
         Ok(source)
     }
