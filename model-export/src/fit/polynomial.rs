@@ -1,6 +1,7 @@
 //! Base model without a known geometry: each field axis as a polynomial of the forces.
 
 use nalgebra::{DMatrix, DVector, Vector3};
+use serde::Serialize;
 
 use crate::fit::block_bootstrap::{self, Block};
 use crate::fit::cross_validation::{CvSplit, ErrorSums, RowRange, all_rows, time_slices};
@@ -156,29 +157,59 @@ pub struct PolynomialFit {
     pub block_s: f64,
 }
 
+/// A higher degree that describes the forces clearly better.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct HigherDegree {
+    /// The degree.
+    pub degree: usize,
+    /// Held-out error in gauss, root mean square over the axes, with the degree of the model.
+    pub now_g: f64,
+    /// The same with the higher degree.
+    pub then_g: f64,
+}
+
+/// Degrees above a stated one that are compared with it.
+const HIGHER: usize = 2;
+/// Share of the squared error by which a higher degree reduces it clearly.
+const CLEARLY: f64 = 0.2;
+
+impl PolynomialFit {
+    /// The lowest of the higher degrees that were tried with about the least error, where that is clearly less than with this one.
+    pub fn higher_degree(&self) -> Option<HigherDegree> {
+        let of = |degree: usize| self.tried.iter().find(|(tried, _)| *tried == degree);
+        let (_, now_g) = *of(self.model.degree)?;
+        let higher = || self.tried.iter().filter(|(degree, _)| *degree > self.model.degree);
+        let least = higher().map(|(_, rms_g)| rms_g.powi(2)).fold(f64::INFINITY, f64::min);
+        let (degree, then_g) =
+            *higher().find(|(_, g)| g.powi(2) <= (1.0 + DEGREE_TOLERANCE) * least)?;
+        let is_clear = then_g.powi(2) < (1.0 - CLEARLY) * now_g.powi(2);
+        is_clear.then_some(HigherDegree { degree, now_g, then_g })
+    }
+}
+
 /// Fits one sensor with a polynomial of `degree`, or of the lowest degree whose held-out error is within 1 % of
 /// the best up to [`MAX_DEGREE`]. What depends on other covariates, and is not in the model yet, would hide the curvature that a
-/// higher degree describes: degrees are compared on the field without it. Without forces the degree is zero whatever is stated.
+/// higher degree describes: degrees are compared on the field without it, a stated one with the next two. Without forces the degree is
+/// zero whatever is stated.
 pub fn fit(
     rows: &SensorRows,
     degree: Option<usize>,
     options: FitOptions,
 ) -> Result<PolynomialFit, FitError> {
     let spans = rows.force_spans();
+    let is_determined = |degree: usize| {
+        let terms = Polynomial::term_count(spans.len(), degree);
+        terms.is_some_and(|terms| terms <= MAX_POLYNOMIAL_TERMS && rows.len() >= least_rows(terms))
+    };
+    let up_to = |first: usize, last: usize| {
+        let largest = (first + 1..=last).take_while(|degree| is_determined(*degree)).last();
+        first..=largest.unwrap_or(first)
+    };
     let degrees = match (degree, rows.forces.is_empty()) {
         (_, true) => 0..=0,
-        (Some(stated), false) => stated..=stated,
+        (Some(stated), false) => up_to(stated, (stated + HIGHER).min(MAX_DEGREE)),
         // At least the first, for the error.
-        (None, false) => {
-            let is_determined = |degree: usize| {
-                let terms = Polynomial::term_count(spans.len(), degree);
-                terms.is_some_and(|terms| {
-                    terms <= MAX_POLYNOMIAL_TERMS && rows.len() >= least_rows(terms)
-                })
-            };
-            let largest = (2..=MAX_DEGREE).take_while(|degree| is_determined(*degree)).last();
-            1..=largest.unwrap_or(1)
-        }
+        (None, false) => up_to(1, MAX_DEGREE),
     };
     if let Some(degree) = degrees.clone().find(|degree| !is_small(spans.len(), *degree)) {
         let (sensor, forces, max) = (rows.sensor, spans.len(), MAX_POLYNOMIAL_TERMS);
@@ -192,8 +223,10 @@ pub fn fit(
         .map(|degree| Ok((degree, held_out(compared, &spans, degree)?)))
         .collect::<Result<_, FitError>>()?;
     let best = tried.iter().map(|(_, sums)| sums.mean_square()).fold(f64::INFINITY, f64::min);
-    let chosen =
-        tried.iter().find(|(_, sums)| sums.mean_square() <= (1.0 + DEGREE_TOLERANCE) * best);
+    let chosen = tried.iter().find(|(tried, sums)| match degree {
+        Some(_) if !rows.forces.is_empty() => Some(*tried) == degree,
+        _ => sums.mean_square() <= (1.0 + DEGREE_TOLERANCE) * best,
+    });
     let Some((degree, _)) = chosen else {
         let reason = "no degree gave a finite error".to_owned();
         return Err(FitError::NotConverged { sensor: rows.sensor, reason });

@@ -15,6 +15,8 @@ use std::borrow::Cow;
 
 /// Maximum number of candidates fitted per step, the best by the linearised score test.
 const MAX_FITTED: usize = 5;
+/// Maximum number of candidates fitted where none lowers the error of the linearised model.
+const MAX_UNDETERMINED: usize = 3;
 /// Maximum number of candidates that are fitted in pairs.
 const MAX_IN_PAIRS: usize = 7;
 /// Minimum gain of a fitted candidate relative to the best.
@@ -330,6 +332,13 @@ fn candidates_to_fit(
         let others = screened.iter().filter(|s| !within(s) && s.can_replace(best));
         let others: Vec<&ScreenedEffect> = others.filter(is_new).collect();
         fitted.extend(others);
+    }
+    if fitted.is_empty() {
+        // What resembles a parameter of the model (the Earth's field its offset, of a gripper that hardly turns) predicts no other
+        // rows in the linearised model, in which every direction is free. A fit keeps the directions that its rows do not determine.
+        fitted = screened.iter().filter(|s| s.p_adjusted < LEVEL && !within(s)).collect();
+        fitted.sort_by(|a, b| b.evidence.explained.total_cmp(&a.evidence.explained));
+        fitted.truncate(MAX_UNDETERMINED);
     }
     fitted
 }

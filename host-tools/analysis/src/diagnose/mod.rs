@@ -41,10 +41,12 @@ use model_export::effects::{EffectTerm, find};
 use model_export::fit::FitOptions;
 use model_export::fit::campaign::{FitSetup, SEARCH_ROWS};
 use model_export::fit::joint::JointFit;
+use model_export::fit::polynomial::{HigherDegree, PolynomialFit};
 use model_export::inverse::compensation::{DeviceSupport, device_support};
 use model_export::model_file::{EffectModel, ModelFile, Provenance};
 use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
+use model_export::recordings::mapping::ATTITUDE_COLUMNS;
 use serde::Serialize;
 use std::borrow::Cow;
 use std::path::Path;
@@ -94,6 +96,10 @@ pub struct Diagnosis {
     pub unexplained: Vec<Unexplained>,
     /// What of the residual follows no covariate; none at the noise floor.
     pub remaining: Option<RemainingStructure>,
+    /// Degree of the polynomial that describes the forces clearly better than that of the model.
+    pub higher_degree: Option<HigherDegree>,
+    /// Offsets of sensors that the recordings cannot tell from an accepted effect.
+    pub confounded_offsets: Option<ConfoundedOffsets>,
     /// True if the residual is indistinguishable from noise.
     pub at_floor: bool,
     /// Noise of the recordings, and how it was estimated.
@@ -374,6 +380,33 @@ pub struct StaircaseStep {
     pub floor_g: f64,
 }
 
+/// Offsets of sensors that these recordings cannot tell from the ambient field of an effect.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ConfoundedOffsets {
+    /// Numbers of the sensors.
+    pub sensors: Vec<u32>,
+    /// Range of roll, pitch and yaw in degrees.
+    pub range_deg: [f64; 3],
+}
+
+impl ConfoundedOffsets {
+    /// Of a fit to a campaign; `None` where the offsets are determined.
+    pub fn of(campaign: &Campaign, fit: &JointFit) -> Option<Self> {
+        let confounded = fit.sensors.iter().filter(|fit| fit.offset_confounded);
+        let sensors: Vec<u32> = confounded.map(|fit| fit.sensor).collect();
+        if sensors.is_empty() {
+            return None;
+        }
+        let range_deg = ATTITUDE_COLUMNS.map(|name| {
+            let values = || campaign.recordings.iter().filter_map(|r| r.covariates.get(name));
+            let low = values().flatten().copied().fold(f64::INFINITY, f64::min);
+            let high = values().flatten().copied().fold(f64::NEG_INFINITY, f64::max);
+            (high - low).to_degrees()
+        });
+        Some(Self { sensors, range_deg })
+    }
+}
+
 /// What a diagnosis examines besides the user's own effects.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Scope {
@@ -415,7 +448,9 @@ pub fn diagnose(
                 return false;
             }
             observer.stage("comparing recordings", DIFFERENCES);
-            let found = recording_differences::find(campaign, model, setup, fitted);
+            // All recordings, of many with a sample of the rows of each.
+            let all = setup.sampled(SEARCH_ROWS);
+            let found = recording_differences::find(campaign, model, &all, fitted);
             let Some((found, corrected)) = found else { return false };
             differences = Some(found);
             *campaign = Cow::Owned(corrected);
@@ -424,7 +459,7 @@ pub fn diagnose(
     let mut prepared = model.fit_setup(&campaign, options)?;
     let mut sample = prepared.sampled_by_fold(SEARCH_ROWS);
     let first = FittedModel::without_validation(&sample, present.clone(), options)?;
-    if is_corrected(&mut campaign, &sample, &first) {
+    if is_corrected(&mut campaign, &prepared, &first) {
         prepared = model.fit_setup(&campaign, options)?;
         sample = prepared.sampled_by_fold(SEARCH_ROWS);
     }
@@ -437,7 +472,7 @@ pub fn diagnose(
     };
     let mut selection = select(&campaign, &sample, &prepared)?;
     if let Some(last) = selection.stages.last()
-        && is_corrected(&mut campaign, &sample, last)
+        && is_corrected(&mut campaign, &prepared, last)
     {
         prepared = model.fit_setup(&campaign, options)?;
         sample = prepared.sampled_by_fold(SEARCH_ROWS);
@@ -460,6 +495,10 @@ pub fn diagnose(
     diagnosis.set_equivalent_formulas(equivalent_formulas);
     diagnosis.noise = NoiseSummary::of(campaign.recordings.iter().map(|one| &one.noise));
     diagnosis.at_floor &= diagnosis.noise.disagreement.is_none();
+    let last = selection.stages.last();
+    diagnosis.confounded_offsets = last.and_then(|last| ConfoundedOffsets::of(campaign, &last.fit));
+    let degrees = prepared.polynomials.iter().filter_map(PolynomialFit::higher_degree);
+    diagnosis.higher_degree = degrees.max_by_key(|higher| higher.degree);
     diagnosis.rows = [sample.row_count(), prepared.row_count()];
     diagnosis.recordings = [sample.recording_count(), prepared.recording_count()];
     if !observer.is_stopped() {

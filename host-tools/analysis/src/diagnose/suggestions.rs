@@ -18,6 +18,8 @@ pub enum SuggestionKind {
     AlignClocks,
     /// Correct what differs between the recordings, and fit the copy.
     CorrectRecordings,
+    /// Fit a polynomial of a higher degree.
+    RaiseDegree,
     /// Export the model.
     Export,
     /// Replay a model that was fitted to other recordings, before it is used.
@@ -111,6 +113,9 @@ pub fn suggest(diagnosis: &Diagnosis, typed: &Invocation) -> Suggestion {
         if typed.base == BaseKind::Polynomial {
             words.extend(["--base", "polynomial"].map(str::to_owned));
         }
+        if let Some(higher) = diagnosis.higher_degree {
+            words.extend(["--degree".to_owned(), higher.degree.to_string()]);
+        }
         words.extend(["-o".to_owned(), better(typed.model)]);
         line(&words)
     };
@@ -133,6 +138,10 @@ pub fn suggest(diagnosis: &Diagnosis, typed: &Invocation) -> Suggestion {
         // The device cannot compensate it; with the clocks aligned, the other effects are found again.
         let delay_ms = ((typed.delay_ms + skew_ms) * 1e2).round() / 1e2;
         return suggestion(SuggestionKind::AlignClocks, vec![fit(typed.campaign, delay_ms)]);
+    }
+    if diagnosis.higher_degree.is_some() {
+        // What the polynomial leaves of the forces hides effects, or imitates them.
+        return suggestion(SuggestionKind::RaiseDegree, vec![fit(typed.campaign, typed.delay_ms)]);
     }
     if let Some(sets) = sets(&diagnosis.accepted) {
         let add = |set: &Vec<&str>| {

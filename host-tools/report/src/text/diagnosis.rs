@@ -4,12 +4,13 @@ use analysis::compare::{AT_FLOOR, BELOW_FLOOR, ForceError};
 use analysis::diagnose::candidates::{LEVEL, MIN_GAIN};
 use analysis::diagnose::remaining_structure::RemainingStructure;
 use analysis::diagnose::{
-    Diagnosis, DiscoveredFormula, Reason, StaircaseStep, Suggestion, SuggestionKind, Unexplained,
-    Verdict, VerdictKind,
+    ConfoundedOffsets, Diagnosis, DiscoveredFormula, Reason, StaircaseStep, Suggestion,
+    SuggestionKind, Unexplained, Verdict, VerdictKind,
 };
 use analysis::numbers::{self, field};
 use anstyle::Style;
 use model_export::effects::{EffectTerm, find};
+use model_export::fit::polynomial::HigherDegree;
 use model_export::inverse::compensation::DeviceSupport;
 use serde_json::{Value, json};
 
@@ -487,6 +488,9 @@ pub fn suggestion_heading(kind: SuggestionKind) -> &'static str {
         SuggestionKind::CorrectRecordings => {
             "Suggestion, give the recordings one zero, fit the copy, and diagnose it with the new model:"
         }
+        SuggestionKind::RaiseDegree => {
+            "Suggestion, fit a polynomial of this degree, and diagnose the new model:"
+        }
         SuggestionKind::Replay => {
             "No missing effect was found, with the model's parameters fitted again. Its file is of other recordings: see whether it \
              holds for this gripper before its tables are used, else fit these recordings:"
@@ -520,6 +524,8 @@ pub fn to_json(diagnosis: &Diagnosis) -> Value {
         "formulas": diagnosis.formulas.iter().map(|one| formula_json(diagnosis, one)).collect::<Vec<_>>(),
         "equivalent_formulas": diagnosis.equivalent_formulas.iter().map(|one| formula_json(diagnosis, one)).collect::<Vec<_>>(),
         "unexplained": unexplained_json(diagnosis),
+        "higher_degree": diagnosis.higher_degree,
+        "confounded_offsets": diagnosis.confounded_offsets,
         "at_floor": diagnosis.at_floor,
         "noise": diagnosis.noise,
         "interrupted": diagnosis.is_interrupted,
@@ -680,6 +686,35 @@ pub fn verdict(diagnosis: &Diagnosis) -> String {
     if diagnosis.findings.iter().any(|finding| finding.stops) {
         return stopped_verdict(&diagnosis.findings);
     }
+    let sentences = [
+        diagnosis.higher_degree.as_ref().map(higher_degree),
+        Some(verdict_on_effects(diagnosis)),
+        diagnosis.confounded_offsets.as_ref().map(confounded_offsets),
+    ];
+    sentences.into_iter().flatten().collect::<Vec<_>>().join(" ")
+}
+
+/// That the offsets of sensors cannot be told from the Earth's field.
+pub fn confounded_offsets(of: &ConfoundedOffsets) -> String {
+    let sensors: Vec<String> = of.sensors.iter().map(u32::to_string).collect();
+    let [roll, pitch, yaw] = of.range_deg;
+    format!(
+        "The offset of sensor {} is confounded with the Earth's field in these recordings (range of roll {roll:.0}, pitch {pitch:.0}, yaw {yaw:.0} degrees); it is regularised towards zero. Rotate the gripper by at least 90 degrees about two axes.",
+        sensors.join(", ")
+    )
+}
+
+/// That another degree of the polynomial describes the forces better.
+pub fn higher_degree(higher: &HigherDegree) -> String {
+    format!(
+        "The degree of the polynomial is too low: with degree {} the held-out error of the field falls from {} to {}.",
+        higher.degree,
+        field(higher.now_g),
+        field(higher.then_g)
+    )
+}
+
+fn verdict_on_effects(diagnosis: &Diagnosis) -> String {
     let Some(last) = diagnosis.staircase.last() else { return String::new() };
     let (rms, floors) = (field(last.held_out_rms_g), last.held_out_rms_g / last.floor_g);
     let steps: Vec<String> = diagnosis

@@ -2,6 +2,7 @@
 
 use crate::text::comparison::dependent_blocks;
 use analysis::compare::{AT_FLOOR, EffectOrigin};
+use analysis::diagnose::ConfoundedOffsets;
 use analysis::diagnose::candidates::MIN_GAIN;
 use analysis::edit_model::ModelEdit;
 use analysis::numbers;
@@ -11,9 +12,9 @@ use model_export::fit::cross_validation::{CvSplit, ErrorSums};
 use model_export::fit::effect_size::EffectSize;
 use model_export::fit::joint::JointFit;
 use model_export::model_file::EffectModel;
-use model_export::recordings::mapping::ATTITUDE_COLUMNS;
 use serde_json::{Value, json};
 
+use crate::text::diagnosis::confounded_offsets;
 use crate::text::terminal::{self, SENSORS_ACROSS};
 use crate::text::{force_error, notes};
 
@@ -228,32 +229,9 @@ fn improved_folds(edit: &ModelEdit) -> (usize, usize) {
 
 /// Change of the error, and what these recordings leave unidentifiable.
 fn verdict(edit: &ModelEdit) -> String {
-    let sentences = [Some(gain(edit)), unidentifiable_offset(edit)];
+    let confounded = ConfoundedOffsets::of(&edit.campaign, &edit.after.1);
+    let sentences = [Some(gain(edit)), confounded.as_ref().map(confounded_offsets)];
     sentences.into_iter().flatten().collect::<Vec<_>>().join(" ")
-}
-
-/// The sensors whose offset is confounded with the Earth's field.
-fn unidentifiable_offset(edit: &ModelEdit) -> Option<String> {
-    let sensors: Vec<String> = (edit.after.1.sensors.iter())
-        .filter(|fit| fit.offset_confounded)
-        .map(|fit| fit.sensor.to_string())
-        .collect();
-    if sensors.is_empty() {
-        return None;
-    }
-    let range_deg = ATTITUDE_COLUMNS.map(|name| {
-        let values = || (edit.campaign.recordings.iter()).filter_map(|r| r.covariates.get(name));
-        let low = values().flatten().copied().fold(f64::INFINITY, f64::min);
-        let high = values().flatten().copied().fold(f64::NEG_INFINITY, f64::max);
-        (high - low).to_degrees()
-    });
-    Some(format!(
-        "The offset of sensor {} is confounded with the Earth's field in these recordings (range of roll {:.0}, pitch {:.0}, yaw {:.0} degrees); it is regularised towards zero. Rotate the gripper by at least 90 degrees about two axes.",
-        sensors.join(", "),
-        range_deg[0],
-        range_deg[1],
-        range_deg[2],
-    ))
 }
 
 /// Change of the held-out error.
