@@ -68,8 +68,8 @@ pub fn block_s(columns: &[ResidualTable]) -> f64 {
         sensor.recording.chunk_by(|a, b| a == b).map(<[u32]>::len).sum::<usize>() as f64
             * sensor.time_s.get(1).map_or(0.01, |second| second - sensor.time_s[0])
     });
-    let most = (duration / MIN_BLOCKS).max(1.0);
-    (3.0 * correlation_s(columns)).max(MIN_BLOCK_S).min(most)
+    // Rows without a clock are one second apart, whatever their number.
+    (3.0 * correlation_s(columns)).max(MIN_BLOCK_S).min(duration / MIN_BLOCKS)
 }
 
 /// Selected covariates of the residual with their shares.

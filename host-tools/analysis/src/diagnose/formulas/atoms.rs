@@ -3,10 +3,11 @@
 
 use model_export::effects::expression::ParameterRange;
 use model_export::effects::{ExcitationSeries, Expression};
+use model_export::recordings::harmonics::TURN;
 use model_export::recordings::units::round_significant;
 
-/// Harmonics of a rotor's turn: one to four, and the pole pairs.
-const HARMONICS: [u32; 5] = [1, 2, 3, 4, 7];
+use crate::diagnose::formulas::harmonics::USUAL;
+
 /// Highest number of periods within the travel of the opening, and the step of the search.
 const PERIODS: (f64, f64) = (40.0, 0.5);
 /// Covariates whose past matters: warming, relaxation. With a lag, and without what the lag follows.
@@ -164,10 +165,13 @@ impl Span {
     }
 }
 
-/// All functions of a covariate.
-pub fn atoms_of(covariate: &str, span: Span) -> Vec<Atom> {
-    if covariate == "motor_angle_rad" {
-        return angle_atoms(covariate, &HARMONICS, true);
+/// All functions of a covariate; those of [`TURN`] are its `harmonics`, of which [`USUAL`] ones are multiplied with other covariates.
+pub fn atoms_of(covariate: &str, span: Span, harmonics: &[u32]) -> Vec<Atom> {
+    if covariate == TURN {
+        let mut atoms = angle_atoms(covariate, &USUAL, true);
+        let further = harmonics.iter().copied().filter(|one| !USUAL.contains(one));
+        atoms.extend(angle_atoms(covariate, &further.collect::<Vec<u32>>(), false));
+        return atoms;
     }
     let atom = |text: &str, complexity: f64| Atom::new(covariate, text, complexity);
     if matches!(covariate, "time_s" | "session_s") {
@@ -243,13 +247,16 @@ pub fn atoms_of(covariate: &str, span: Span) -> Vec<Atom> {
     atoms
 }
 
+/// Higher harmonics are no more complex than this one.
+const HARMONIC_COMPLEXITY: u32 = 10;
+
 /// Harmonics of an angle.
 fn angle_atoms(covariate: &str, harmonics: &[u32], is_factor: bool) -> Vec<Atom> {
     let mut atoms = Vec::new();
     for harmonic in harmonics {
         let argument = if *harmonic == 1 { "x".to_owned() } else { format!("{harmonic}*x") };
         let [sin, cos] = ["sin", "cos"].map(|function| format!("{function}({argument})"));
-        let complexity = 1.2 + 0.02 * f64::from(*harmonic);
+        let complexity = 1.2 + 0.02 * f64::from(*harmonic.min(&HARMONIC_COMPLEXITY));
         for (text, other) in [(&sin, &cos), (&cos, &sin)] {
             let mut atom = Atom::new(covariate, text, complexity).phase(other);
             atom.is_factor = is_factor;
@@ -302,7 +309,7 @@ mod tests {
 
     /// All functions of a covariate over its own range.
     fn atoms(covariate: &str) -> Vec<Atom> {
-        atoms_of(covariate, Span::of(opening().covariate(covariate).unwrap()).unwrap())
+        atoms_of(covariate, Span::of(opening().covariate(covariate).unwrap()).unwrap(), &USUAL)
     }
 
     #[test]

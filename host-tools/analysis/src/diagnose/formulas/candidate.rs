@@ -21,8 +21,8 @@ const COLUMN_COMPLEXITY: f64 = 0.2;
 const OWN_COMPLEXITY: f64 = 0.4;
 /// Width of the range in which a nonlinear parameter of a discovered formula is fitted, relative to its bounds.
 const RANGE: f64 = 0.1;
-/// Names of coefficients and of nonlinear parameters.
-const COEFFICIENTS: [&str; 6] = ["a", "b", "c", "d", "f", "g"];
+/// Names of coefficients, of as many terms at most, and of nonlinear parameters.
+pub const COEFFICIENTS: [&str; 6] = ["a", "b", "c", "d", "f", "g"];
 const NONLINEAR: [&str; 6] = ["p", "q", "r", "s", "t", "u"];
 
 /// Terms at points of the chain: each term has a coefficient at each point.

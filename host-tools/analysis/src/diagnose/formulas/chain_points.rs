@@ -61,11 +61,14 @@ const VECTORS: [&[ChainPoint]; 5] = [
 ];
 
 impl ChainPoint {
-    /// Points of a base with or without geometry; `axes`: whether a lateral and a longitudinal force were recorded.
+    /// Points of a base with or without geometry; `axes`: whether a lateral and a longitudinal force were recorded. Without either, the
+    /// base is a constant, and a gain acts as a field does.
     pub fn all(has_geometry: bool, axes: [bool; 2]) -> Vec<Self> {
         let points: &[Self] = if has_geometry { &WITH_GEOMETRY } else { &WITHOUT_GEOMETRY };
+        let is_constant = !has_geometry && axes == [false; 2];
         let is_possible = |point: &Self| match point {
             Force(axis) => axes[axis / 2],
+            Gain | AxisGain(_) => !is_constant,
             _ => true,
         };
         points.iter().copied().filter(is_possible).collect()

@@ -40,14 +40,19 @@ pub struct RankedCandidate {
 }
 
 impl Dictionary {
-    /// Over these covariates.
-    pub fn new(setup: &FitSetup, covariates: &[String], windows: &[Vec<Windows>]) -> Self {
+    /// Over these covariates, with these harmonics of the rotor's turn.
+    pub fn new(
+        setup: &FitSetup,
+        covariates: &[String],
+        harmonics: &[u32],
+        windows: &[Vec<Windows>],
+    ) -> Self {
         let mut atoms: Vec<Atom> = covariates
             .iter()
             .filter_map(|covariate| {
                 let all = (0..setup.rows.len()).flat_map(|sensor| excitations(setup, sensor));
                 let values = all.filter_map(|series| series.covariate(covariate)).flatten();
-                Some(atoms_of(covariate, Span::of(values.collect())?))
+                Some(atoms_of(covariate, Span::of(values.collect())?, harmonics))
             })
             .flatten()
             .collect();
@@ -207,6 +212,26 @@ impl Dictionary {
             ranked.push(RankedCandidate { candidate, terms });
         }
         ranked
+    }
+
+    /// The harmonics of the covariate of a candidate, which is one or several of them, as further pairs of terms.
+    pub fn further_harmonics(&self, candidate: &Candidate) -> Vec<[Vec<Atom>; 2]> {
+        let is_harmonic = |term: &Vec<Atom>| matches!(&term[..], [one] if one.parameters.is_empty() && one.partner().is_some());
+        let Some([first]) = candidate.terms.first().map(Vec::as_slice) else { return Vec::new() };
+        if !candidate.terms.iter().all(is_harmonic) {
+            return Vec::new();
+        }
+        let pair = |term: usize| {
+            let partner = self.partners[term].filter(|partner| *partner > term)?;
+            let pair = [self.factors(term), self.factors(partner)];
+            let is_new = pair.iter().all(|own| {
+                is_harmonic(own)
+                    && own[0].covariate == first.covariate
+                    && !candidate.terms.contains(own)
+            });
+            is_new.then_some(pair)
+        };
+        (0..self.terms.len()).filter_map(pair).collect()
     }
 
     fn factors(&self, term: usize) -> Vec<Atom> {

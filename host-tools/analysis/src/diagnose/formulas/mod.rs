@@ -9,6 +9,7 @@
 //!
 //! - [`chain_points`]: where a formula can act.
 //! - [`atoms`]: functions of one covariate.
+//! - [`harmonics`]: those of the rotor's turn that stand out in a residual.
 //! - [`dictionary`]: their products, and their values.
 //! - [`rows`]: a fitted model linearised, whitened and averaged.
 //! - [`scan`]: scores and significance.
@@ -18,6 +19,7 @@ pub mod atoms;
 pub mod candidate;
 pub mod chain_points;
 pub mod dictionary;
+pub mod harmonics;
 pub mod rows;
 pub mod scan;
 
@@ -29,6 +31,7 @@ use model_export::fit::score_test::{CandidateScore, ScoreTest};
 use model_export::model_file::EffectModel;
 use model_export::recordings::Campaign;
 use model_export::recordings::columns::{Axis, STATOR_CURRENTS};
+use model_export::recordings::harmonics::TURN;
 use rayon::prelude::*;
 
 use crate::compare::AT_FLOOR;
@@ -36,7 +39,7 @@ use crate::diagnose::candidates::varying_covariates;
 use crate::diagnose::forward_selection::screen_last;
 use crate::diagnose::observer::Observer;
 use crate::diagnose::selection::{FittedModel, Selection};
-use candidate::{Candidate, columns_at};
+use candidate::{COEFFICIENTS, Candidate, columns_at};
 use chain_points::ChainPoint;
 use dictionary::{Dictionary, RankedCandidate};
 use rows::{SensorRows, Windows};
@@ -149,7 +152,7 @@ pub fn discover(
         return Ok(Vec::new());
     }
     observer.stage("preparing the search for formulas", STEP);
-    let search = FormulaSearch::new(campaign, setup, selection.block_s, options);
+    let search = FormulaSearch::new(campaign, (setup, last), selection.block_s, options);
     let alone = search.run(first, observer)?;
     let is_enough =
         |found: &Discovery| found.is_at_floor() && found.formulas.len() <= selection.steps.len();
@@ -210,8 +213,8 @@ pub fn equivalent_formulas(
         return Ok(Vec::new());
     }
     observer.stage("preparing the search for formulas", STEP);
-    let found =
-        FormulaSearch::new(campaign, setup, selection.block_s, options).run(first, observer)?;
+    let found = FormulaSearch::new(campaign, (setup, last), selection.block_s, options)
+        .run(first, observer)?;
     let Some(mut found) = found.filter(|found| found.formulas.len() <= selection.steps.len())
     else {
         return Ok(Vec::new());
@@ -293,10 +296,11 @@ pub struct FormulaSearch<'a> {
 }
 
 impl<'a> FormulaSearch<'a> {
-    /// Over the covariates that vary; `block_s`: length in seconds of the blocks of residuals that are independent.
+    /// Over the covariates that vary; of the rotor's turn those harmonics that stand out in the residual of `last`. `block_s`: length in
+    /// seconds of the blocks of residuals that are independent.
     pub fn new(
         campaign: &Campaign,
-        setup: &'a FitSetup,
+        (setup, last): (&'a FitSetup, &FittedModel),
         block_s: f64,
         options: FitOptions,
     ) -> Self {
@@ -307,7 +311,11 @@ impl<'a> FormulaSearch<'a> {
             .filter(|name| !STATOR_CURRENTS.contains(&name.as_str()))
             .collect();
         let windows = rows::windows(setup);
-        let dictionary = Dictionary::new(setup, &covariates, &windows);
+        let harmonics = match covariates.iter().any(|name| name == TURN) {
+            true => harmonics::of_residual(setup, last, &windows),
+            false => Vec::new(),
+        };
+        let dictionary = Dictionary::new(setup, &covariates, &harmonics, &windows);
         Self {
             setup,
             options,
@@ -468,7 +476,8 @@ impl<'a> FormulaSearch<'a> {
             .flat_map(|(candidate, _)| {
                 let refined = self.refined_by_sensor(scan, self.refined(scan, candidate));
                 let extended = self.extended(scan, &refined.0, refined.1.held_out());
-                extended.into_iter().chain([refined])
+                let series = self.with_harmonics(scan, &refined.0, refined.1.held_out());
+                extended.into_iter().chain(series).chain([refined])
             })
             .collect();
         scored.extend(refined);
@@ -561,6 +570,36 @@ impl<'a> FormulaSearch<'a> {
         });
         let best = scored.min_by(|a, b| a.1.held_out().total_cmp(&b.1.held_out()))?;
         (best.1.held_out() < (1.0 - NEAR) * held_out).then_some(best)
+    }
+
+    /// Harmonics of an angle with further ones, each of which reduces the remaining squared error by more than 2 %.
+    fn with_harmonics(
+        &self,
+        scan: &Scan,
+        candidate: &Candidate,
+        held_out: f64,
+    ) -> Option<(Candidate, Score)> {
+        let mut found: Option<(Candidate, Score)> = None;
+        loop {
+            let (current, least) = match &found {
+                Some((current, score)) => (current, score.held_out()),
+                None => (candidate, held_out),
+            };
+            if current.terms.len() + 2 > COEFFICIENTS.len() {
+                return found;
+            }
+            let extended = self.dictionary.further_harmonics(current).into_par_iter().map(|pair| {
+                let terms = current.terms.iter().cloned().chain(pair).collect();
+                let extended = Candidate { terms, ..current.clone() };
+                let score = scan.score(&self.columns(scan, &extended));
+                (extended, score)
+            });
+            let best = extended.min_by(|a, b| a.1.held_out().total_cmp(&b.1.held_out()));
+            match best.filter(|(_, score)| score.held_out() < (1.0 - NEAR) * least) {
+                Some(best) => found = Some(best),
+                None => return found,
+            }
+        }
     }
 
     /// Drops formulas without which the squared error is hardly larger.

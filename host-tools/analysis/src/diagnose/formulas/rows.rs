@@ -6,6 +6,7 @@ use model_export::effects::{EffectTerm, ExcitationSeries};
 use model_export::fit::campaign::FitSetup;
 use model_export::fit::cross_validation::CvSplit;
 use model_export::fit::problem::SensorProblem;
+use model_export::fit::rows::RecordingRows;
 use nalgebra::{Cholesky, DMatrix, DVector, Matrix3, Vector3};
 use rayon::prelude::*;
 
@@ -14,12 +15,15 @@ use crate::diagnose::selection::FittedModel;
 
 /// Rate in Hz to which rows are averaged.
 const RATE_HZ: f64 = 25.0;
+/// Rows of a sensor, at least, for which as many are averaged: fewer are taken as they are.
+const MIN_ROWS: usize = 1000;
 /// Maximum number of averaged rows of a sensor; more are left out evenly.
 const MAX_ROWS: usize = 4000;
 /// Folds where there is one recording.
 const FOLDS: usize = 6;
-/// Minimum length of the blocks of the sign-flip test in seconds.
+/// Minimum length of the blocks of the sign-flip test in seconds, in recordings that are long enough for as many blocks.
 const MIN_BLOCK_S: f64 = 5.0;
+const MIN_BLOCKS: f64 = 15.0;
 
 /// Averaged rows of one recording: ranges of its rows.
 pub type Windows = Vec<Range<usize>>;
@@ -31,10 +35,12 @@ pub fn windows(setup: &FitSetup) -> Vec<Vec<Windows>> {
             let span_s = part.time_s.last()? - part.time_s.first()?;
             (part.len() > 1 && span_s > 0.0).then(|| span_s / (part.len() - 1) as f64)
         });
-        let length = period_s.map_or(1, |period_s| (1.0 / (RATE_HZ * period_s)) as usize).max(1);
+        let rows_count: usize = rows.parts.iter().map(|part| part.len()).sum();
+        let length = period_s.map_or(1, |period_s| (1.0 / (RATE_HZ * period_s)) as usize);
+        let length = length.min(rows_count / MIN_ROWS).max(1);
         let all: usize = rows.parts.iter().map(|part| part.len() / length).sum();
         let stride = all.div_ceil(MAX_ROWS).max(1);
-        let of_part = |part: &model_export::fit::rows::RecordingRows| {
+        let of_part = |part: &RecordingRows| {
             let count = part.len() / length;
             (0..count).step_by(stride).map(|i| length * i..length * (i + 1)).collect()
         };
@@ -116,6 +122,11 @@ fn of_sensor(
     let left_out = of_effects(&|effect| without.contains(effect));
     let without_prior = of_effects(&|effect| matches!(effect, EffectTerm::Expression(_)));
     let stiffness = problem.base.stiffness(values);
+    let span_s = |part: &RecordingRows| {
+        part.time_s.last().unwrap_or(&0.0) - part.time_s.first().unwrap_or(&0.0)
+    };
+    let duration_s: f64 = rows.parts.iter().map(span_s).sum();
+    let block_s = block_s.max(MIN_BLOCK_S.min(duration_s / MIN_BLOCKS));
     let (mut residual, mut patterns) = (Vec::new(), vec![Vec::new(); points.len()]);
     let mut jacobian: Vec<f64> = Vec::new();
     let mut folds: Vec<(Option<usize>, Range<usize>)> = Vec::new();
@@ -176,7 +187,7 @@ fn of_sensor(
             }
             count += 1;
             let time_s = |row: usize| part.time_s[windows[row - first].start];
-            if time_s(count - 1) - time_s(block) >= block_s.max(MIN_BLOCK_S) {
+            if time_s(count - 1) - time_s(block) >= block_s {
                 blocks.push(block..count - 1);
                 block = count - 1;
             }
