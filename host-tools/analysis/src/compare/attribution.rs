@@ -23,7 +23,7 @@ const TIME_FACTOR: f64 = 2.0;
 /// Minimum of the excess relative to the squared residual; avoids division by zero at the floor.
 const MIN_EXCESS: f64 = 0.1;
 /// Minimum rows for a prediction.
-const MIN_ROWS: f64 = 20.0;
+const MIN_ROWS: f64 = 5.0;
 /// Number of folds within recordings.
 const FOLDS: usize = 6;
 /// Maximum number of folds by recording; more recordings are grouped.
@@ -303,8 +303,10 @@ fn sixths(sensor: &ResidualTable) -> Vec<u8> {
     folds
 }
 
-/// Number of quantile bins.
-const BINS: usize = 12;
+/// Number of quantile bins, at least and at most.
+const BINS: (usize, usize) = (3, 12);
+/// Rows of a bin: a table of settings has fewer bins than a recording.
+const BIN_ROWS: usize = 12;
 
 /// Bins of one covariate: quantiles, or one bin per value where there are few.
 #[derive(Clone, Debug, PartialEq)]
@@ -373,19 +375,21 @@ impl Binning {
 
 /// Lower edges of the bins: distinct quantiles in rising order.
 fn lower_edges(sorted: &[f32]) -> Vec<f32> {
+    let (least, most) = BINS;
+    let bins = (sorted.len() / BIN_ROWS).clamp(least, most);
     let mut distinct: Vec<f32> = Vec::new();
     for value in sorted {
         if distinct.last() != Some(value) {
             distinct.push(*value);
         }
-        if distinct.len() > BINS {
+        if distinct.len() > bins {
             break;
         }
     }
-    if distinct.len() <= BINS {
+    if distinct.len() <= bins {
         return distinct;
     }
-    let mut edges: Vec<f32> = (0..BINS).map(|i| sorted[i * sorted.len() / BINS]).collect();
+    let mut edges: Vec<f32> = (0..bins).map(|i| sorted[i * sorted.len() / bins]).collect();
     edges.dedup();
     edges
 }
