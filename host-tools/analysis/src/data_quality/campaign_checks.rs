@@ -40,13 +40,12 @@ pub fn campaign_findings(campaign: &Campaign) -> Vec<Finding> {
     dependent.chain(shuffled).chain(noise).collect()
 }
 
-/// Whether a finding of constant covariates names one on which the field depends: its values vary from row to row, as noise does, but
-/// by what was set.
+/// Whether a finding of constant covariates names one that was set anew for each row.
 pub fn follows_field(finding: &Finding, campaign: &Campaign) -> bool {
     let Evidence::ConstantCovariates { columns, .. } = &finding.evidence else { return false };
     let follows = |name: &str| {
         let name = if name.ends_with("_temp_c") { "temp_c" } else { name };
-        campaign.recordings.iter().any(|recording| recording.noise.follows(name))
+        campaign.recordings.iter().any(|recording| recording.is_set_by_row(name))
     };
     columns.iter().all(|(name, _)| follows(name))
 }

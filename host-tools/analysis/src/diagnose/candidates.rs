@@ -91,7 +91,7 @@ fn obstacle(
                 if is_nowhere { Vec::new() } else { without },
             ));
         }
-        if !varies(&columns) && !moves_field(campaign, &column) {
+        if !varies(&columns) && !is_set_by_row(campaign, &column) {
             return Some(Reason::DoesNotVary(column));
         }
     }
@@ -152,16 +152,16 @@ pub fn varying_covariates(campaign: &Campaign, axes: [bool; 2]) -> Vec<String> {
                 let columns = campaign.recordings.iter().map(|recording| values(recording, name));
                 let columns: Vec<Vec<f64>> = columns.collect();
                 columns.iter().all(|column| !column.is_empty())
-                    && (varies(&columns) || moves_field(campaign, name))
+                    && (varies(&columns) || is_set_by_row(campaign, name))
             }
         })
         .map(str::to_owned)
         .collect()
 }
 
-/// Whether the field of a recording depends on a column, whose values may then vary like noise.
-fn moves_field(campaign: &Campaign, column: &str) -> bool {
-    campaign.recordings.iter().any(|recording| recording.noise.follows(column))
+/// Whether a column was set anew for each row: its values then vary like noise.
+fn is_set_by_row(campaign: &Campaign, column: &str) -> bool {
+    campaign.recordings.iter().any(|recording| recording.is_set_by_row(column))
 }
 
 /// Minimum ratio of a column's standard deviation to its noise.

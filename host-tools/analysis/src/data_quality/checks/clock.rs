@@ -132,6 +132,7 @@ pub fn repeated_samples<'a>(context: &CheckContext<'a>) -> Vec<Found<'a>> {
     let hit: Vec<(usize, &TableScan, &Repeats)> = context
         .tables()
         .into_iter()
+        .filter(|(recording, _)| !context.recordings[*recording].is_table_of_settings)
         .filter(|(_, table)| !context.has("stuck_channel", table))
         .flat_map(|(recording, table)| {
             let sensors = table.repeats.iter();
@@ -156,6 +157,9 @@ pub fn repeated_samples<'a>(context: &CheckContext<'a>) -> Vec<Found<'a>> {
     vec![Found::new(Location::file(&worst.path).line(repeats.line), evidence)]
 }
 
+/// Fewer repeated rows are chance in a table of settings, where readings are rounded.
+const MIN_REPEATED: u64 = 10;
+
 /// True where noise should have changed the axes of a sensor in many rows but did not.
 fn has_repeats(table: &TableScan, repeats: &Repeats) -> bool {
     let noisy = table.columns.iter().any(|column| {
@@ -164,7 +168,10 @@ fn has_repeats(table: &TableScan, repeats: &Repeats) -> bool {
         own && column.is_noisy()
     });
     let share = repeats.share();
-    noisy && share > NOTICEABLE && share > BEYOND_CHANCE * repeats.by_chance()
+    noisy
+        && repeats.repeated >= MIN_REPEATED
+        && share > NOTICEABLE
+        && share > BEYOND_CHANCE * repeats.by_chance()
 }
 
 /// True where any sensor of the table has repeated samples.

@@ -538,11 +538,15 @@ const LEAST_VALUES: usize = 5;
 /// Minimum span in steps: a few values may have a common divisor by coincidence.
 const LEAST_STEPS: f64 = 10.0;
 
-/// Quantisation of every column except angles and accelerations.
+/// Minimum number of rows for each value: a load that a person sets has steps too, and is there for a few rows.
+const ROWS_OF_VALUE: u64 = 4;
+
+/// Quantisation of every column except angles and accelerations, of rows that sample a course of time.
 pub fn coarse_steps<'a>(context: &CheckContext<'a>) -> Vec<Found<'a>> {
     let coarse: Vec<Channel> = context
         .columns()
         .into_iter()
+        .filter(|one| !context.recordings[one.recording].is_table_of_settings)
         .filter(|one| step(one.column).is_some())
         // Repeated samples hide the noise.
         .filter(|one| one.column.quantity.is_field() || !clock::any(one.table))
@@ -579,7 +583,10 @@ fn step(column: &ColumnScan) -> Option<f64> {
             // The sensor's own resolution is not lost in a driver.
             let is_native = column.quantity == Quantity::Temperature
                 && step * constants::TEMPERATURE_SCALE.value < 1.01;
-            let few = distinct >= LEAST_VALUES && span < FEW as f64 * step && !is_native;
+            let few = distinct >= LEAST_VALUES
+                && span < FEW as f64 * step
+                && column.rows >= ROWS_OF_VALUE * distinct as u64
+                && !is_native;
             (few && step > STEPS_OF_NOISE * column.noise()).then_some(step)
         }
     }

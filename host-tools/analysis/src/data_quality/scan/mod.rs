@@ -27,6 +27,8 @@ pub struct RecordingScan {
     pub name: String,
     /// Path of the folder.
     pub folder: PathBuf,
+    /// Whether its rows have no clock: they are settings, not samples of a course of time.
+    pub is_table_of_settings: bool,
     /// Readable tables: the board's, the reference's.
     pub tables: Vec<TableScan>,
 }
@@ -48,6 +50,9 @@ impl RecordingScan {
                 .file_name()
                 .map_or_else(String::new, |name| name.to_string_lossy().into_owned()),
             folder: folder.to_path_buf(),
+            is_table_of_settings: description
+                .as_ref()
+                .is_some_and(|found| found.is_clock_assumed()),
             tables: ["hall.csv", "force.csv"].into_iter().filter_map(read).collect(),
         }
     }
