@@ -23,7 +23,7 @@ use crate::recordings::columns::Axis;
 /// Parts of each recording.
 const PARTS: usize = 4;
 /// Rows of a part, at least.
-const LEAST_ROWS: usize = 20;
+const LEAST_ROWS: usize = 8;
 /// Residual in noise floors from which recordings are compared.
 const MIN_FLOORS: f64 = 1.03;
 /// Minimum share of the error above the noise that a cause removes.
