@@ -397,7 +397,8 @@ struct Evaluation<'a> {
     models: ReplayModels<'a>,
     float: Option<Vec<GrbfLanes>>,
     result: RecordingReplay,
-    noises: Vec<[WhiteNoise; 2]>,
+    /// Of the estimates, and of their errors.
+    noises: Vec<[[WhiteNoise; 2]; 2]>,
     /// Of the device, of floating point.
     tares: Vec<[TareEstimator; 2]>,
 }
@@ -459,7 +460,9 @@ impl<'a> Evaluation<'a> {
             }))
         });
         for axis in (0..2).filter(|axis| is_measured[*axis]) {
-            self.noises[i][axis].push(found[axis]);
+            let [of_estimate, of_error] = &mut self.noises[i][axis];
+            of_estimate.push(found[axis]);
+            of_error.push(found[axis] - recorded[axis]);
             let replay = &mut self.result.sensors[i].axes[axis];
             if is_flagged {
                 replay.flagged.add(found[axis] - reference[axis]);
@@ -506,15 +509,21 @@ impl<'a> Evaluation<'a> {
             for (axis, replay) in sensor.axes.iter_mut().enumerate() {
                 replay.tare = tare.map(|(mean, length)| (mean[axis], length));
                 replay.float_tare = float_tare.map(|(mean, _)| mean[axis]);
-                let own = noise[axis].estimate().unwrap_or(0.0);
+                let [own, of_error] = noise[axis].each_ref().map(WhiteNoise::estimate);
+                let (own, of_error) = (own.unwrap_or(0.0), of_error.unwrap_or(0.0));
                 let channel = channels.forces[axis];
                 let reference = channel.and_then(|channel| force_noise[channel]).unwrap_or(0.0);
-                replay.noise_n = own.hypot(reference * INTERPOLATED_NOISE);
+                let independent = own.hypot(reference * INTERPOLATED_NOISE);
+                // Where rows are as sparse as the motion of the load, it is in the differences of both, but not in those of the error.
+                replay.noise_n = if own > HOLDS_MOTION * of_error { of_error } else { independent };
             }
         }
         result
     }
 }
+
+/// Ratio of the differences of the estimates to those of their errors from which they hold the motion of the load.
+const HOLDS_MOTION: f64 = 1.5;
 
 /// Coverage of the predicted standard deviations after the tare, over all forces. Recordings are shifted
 /// in time so that no bootstrap block contains rows of two.
