@@ -183,8 +183,9 @@ const MAX_EXCESS: f64 = 0.1;
 /// Minimum share of the excess over the noise that a step removes. Less is statistical significance without relevance.
 const MIN_RELEVANT: f64 = 0.05;
 
-/// Minimum plausible magnitude relative to the typical one.
-const MIN_MAGNITUDE: f64 = 0.03;
+/// Minimum plausible magnitude relative to the typical one: a smaller one is what another effect leaves (0.13 ms of a filter, of
+/// typically 4 ms, next to a creep).
+const MIN_MAGNITUDE: f64 = 0.1;
 
 /// Maximum standard error of a transient effect, relative to its magnitude or the typical one: it is flexible in
 /// time, so its magnitude must be determined.
