@@ -125,11 +125,23 @@ impl Topic {
     }
 }
 
-/// Whether a path is a bag: an MCAP file, or the folder of a ROS 2 bag.
+/// Whether a path is a bag: a file of messages, or the folder of a ROS 2 bag, which may have lost its metadata.
 pub fn is_bag(path: &Path) -> bool {
-    is_named(path, "mcap")
-        || is_named(path, "db3")
-        || (path.is_dir() && path.join("metadata.yaml").is_file())
+    is_messages(path)
+        || (path.is_dir()
+            && (path.join("metadata.yaml").is_file()
+                || folder(path).is_ok_and(|it| !it.is_empty())))
+}
+
+fn is_messages(path: &Path) -> bool {
+    is_named(path, "mcap") || is_named(path, "db3")
+}
+
+/// The files of messages in a folder.
+fn folder(path: &Path) -> std::io::Result<Vec<PathBuf>> {
+    let entries: std::io::Result<Vec<PathBuf>> =
+        std::fs::read_dir(path)?.map(|entry| entry.map(|entry| entry.path())).collect();
+    Ok(entries?.into_iter().filter(|file| is_messages(file)).collect())
 }
 
 /// Whether a file has this extension.
@@ -143,16 +155,14 @@ fn files(path: &Path) -> Result<Vec<PathBuf>, DataError> {
         return Ok(vec![path.to_path_buf()]);
     }
     let unreadable = |error| ErrorKind::Unreadable(error).at(Location::file(path));
-    let entries: Result<Vec<PathBuf>, _> = std::fs::read_dir(path)
-        .map_err(unreadable)?
-        .map(|entry| entry.map(|entry| entry.path()))
-        .collect();
-    let mut files = entries.map_err(unreadable)?;
-    files.retain(|file| is_named(file, "mcap") || is_named(file, "db3"));
+    let mut files = folder(path).map_err(unreadable)?;
+    let refuse = |what, advice| Err(ErrorKind::bad_value(what, advice).at(Location::file(path)));
     if files.is_empty() {
         let advice = "give a folder with .mcap or .db3 files; compressed ones are decompressed with `zstd -d`";
-        return Err(ErrorKind::bad_value("a bag without files of messages", advice)
-            .at(Location::file(path)));
+        return refuse("a bag without files of messages", advice);
+    }
+    if files.iter().any(|file| is_named(file, "mcap") != is_named(&files[0], "mcap")) {
+        return refuse("a folder with .mcap and .db3 files", "give one of these files");
     }
     // Parts of a bag are numbered: bag_9.mcap comes before bag_10.mcap.
     files.sort_by_key(|file| (file.as_os_str().len(), file.clone()));
