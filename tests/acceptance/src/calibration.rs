@@ -24,7 +24,7 @@ const HIDDEN: [&str; 22] = [
     "neighbour_magnet",
     "magnet_temperature",
     "hysteresis",
-    "motor_leakage",
+    "motor_leakage=8",
     "earth_field",
     "sensor_temperature",
     "thermal_gap",

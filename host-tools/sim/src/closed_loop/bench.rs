@@ -139,9 +139,11 @@ impl BenchProgramme {
     /// Temperatures and ambient field.
     pub fn ambient(&self, time_s: f64) -> AmbientConditions {
         let (excitation, since_s) = self.at(time_s);
+        let orientation = self.orientation(time_s);
         AmbientConditions {
             temperature_c: std::array::from_fn(|sensor| excitation.temperature_c(sensor, since_s)),
-            field_g: in_body(self.earth_g, &self.orientation(time_s)),
+            field_g: in_body(self.earth_g, &orientation),
+            roll_rad: orientation.angles_rad[0],
         }
     }
 }

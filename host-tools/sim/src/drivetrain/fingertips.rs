@@ -17,6 +17,7 @@ use crate::hall_sensor::{FieldConditions, HallScale, NOISE_G, SensorUnit};
 use crate::motion::{LEAD_MM, MotionState};
 use crate::mountings::Mountings;
 use crate::random::{Purpose, normal_vector, stream};
+use crate::uncatalogued::Covariates;
 
 /// Mass that lands with the gripper on the ground, in kg (assumed).
 pub const FOOT_KG: f64 = 2.0;
@@ -33,19 +34,21 @@ pub fn distribute_forces(grip_n: f64, towards_first: f64, ground_n: f64) -> Sens
     [first_n, second_n, -first_n, -second_n].map(|lateral_n| [lateral_n, ground_n])
 }
 
-/// Temperatures and ambient field of the fingertips at one time.
+/// Temperatures, ambient field and roll of the fingertips at one time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AmbientConditions {
     /// Temperature of each sensor in degrees Celsius.
     pub temperature_c: [f64; SENSORS],
     /// Field of sources outside the gripper in gauss, gripper axes, the same at all sensors.
     pub field_g: Vector3<f64>,
+    /// Roll of the gripper in rad.
+    pub roll_rad: f64,
 }
 
 impl Default for AmbientConditions {
-    /// The reference temperature, without a field.
+    /// The reference temperature, without a field, upright.
     fn default() -> Self {
-        Self { temperature_c: [REFERENCE_C; SENSORS], field_g: Vector3::zeros() }
+        Self { temperature_c: [REFERENCE_C; SENSORS], field_g: Vector3::zeros(), roll_rad: 0.0 }
     }
 }
 
@@ -53,6 +56,11 @@ impl Default for AmbientConditions {
 #[derive(Clone)]
 pub struct Fingertips {
     sensors: Vec<SensorUnit>,
+    /// Loads and specific force of the last step.
+    loads_n: SensorForces,
+    specific_force: Vector3<f64>,
+    /// Forces of effects outside the catalogue, from the last sample.
+    added_n: SensorForces,
     rng: ChaCha8Rng,
 }
 
@@ -83,6 +91,9 @@ impl Fingertips {
         };
         Self {
             sensors: (0..SENSORS as u32).map(sensor).collect(),
+            loads_n: SensorForces::default(),
+            specific_force: Vector3::zeros(),
+            added_n: SensorForces::default(),
             rng: stream(seed, Purpose::Fingertips, 0),
         }
     }
@@ -96,8 +107,10 @@ impl Fingertips {
 
     /// Advances the flexures by `dt_s` under these forces and this specific force in m/s^2.
     pub fn step(&mut self, forces_n: &SensorForces, specific_force: Vector3<f64>, dt_s: f64) {
-        for (sensor, force_n) in self.sensors.iter_mut().zip(forces_n) {
-            sensor.finger.step(*force_n, specific_force, dt_s);
+        (self.loads_n, self.specific_force) = (*forces_n, specific_force);
+        for ((sensor, load_n), added_n) in self.sensors.iter_mut().zip(forces_n).zip(self.added_n) {
+            let force_n = [load_n[0] + added_n[0], load_n[1] + added_n[1]];
+            sensor.finger.step(force_n, specific_force, dt_s);
         }
     }
 
@@ -115,10 +128,23 @@ impl Fingertips {
             currents_a: motor_currents(motion),
             ..FieldConditions::default()
         };
-        let sensors = readings.iter_mut().zip(&self.sensors).zip(ambient.temperature_c);
-        for ((reading, sensor), temperature_c) in sensors {
+        let states = self.loads_n.into_iter().zip(&mut self.added_n).zip(ambient.temperature_c);
+        for ((reading, sensor), ((load_n, added_n), temperature_c)) in
+            readings.iter_mut().zip(&mut self.sensors).zip(states)
+        {
             let warm_k = temperature_c - REFERENCE_C;
-            let conditions = FieldConditions { warm_k, ..conditions };
+            let uncatalogued = sensor.uncatalogued.advance(Covariates {
+                recording: 1,
+                session_s: time_s,
+                load_n,
+                opening_mm: motion.opening_mm,
+                current_a: motion.current_a,
+                warm_k,
+                specific_force: self.specific_force,
+                roll_rad: ambient.roll_rad,
+            });
+            *added_n = uncatalogued.force_n;
+            let conditions = FieldConditions { warm_k, uncatalogued, ..conditions };
             let field_g = sensor.field(&conditions) + ambient.field_g;
             let measured_g = sensor.element.reading(field_g, &conditions, time_s);
             let noisy_g = measured_g + normal_vector(&mut self.rng) * NOISE_G;
@@ -198,6 +224,29 @@ mod tests {
         let (without, with) = (mean(0.0), mean(10.0));
         let shift = (0..3).map(|axis| (with[axis] - without[axis]).abs());
         assert!(shift.fold(0.0, f64::max) > 2.0, "{with:?} {without:?}");
+    }
+
+    #[test]
+    fn effects_outside_the_catalogue_act_on_the_board_s_gripper() {
+        let mean = |effects: &[&str], opening_mm: f64| {
+            let effects: Vec<Effect> = effects.iter().map(|one| one.parse().unwrap()).collect();
+            let mut tips = Fingertips::new(1, 0.0, &effects).unwrap();
+            let motion = MotionState { opening_mm, ..OPEN };
+            let samples = (0..400).map(|tick| {
+                let time_s = 1e-3 * f64::from(tick);
+                tips.sample(&motion, &AmbientConditions::default(), time_s)[0].unwrap().field
+            });
+            samples.fold([0.0; 3], |sum, field| {
+                [0, 1, 2].map(|axis| sum[axis] + f64::from(field[axis]) * 0.125 / 400.0)
+            })
+        };
+        // A ripple of 40 um over the opening, at openings a fraction of its period apart.
+        let openings = [10.0, 11.0, 12.0, 13.0];
+        let moved = openings.map(|mm| {
+            let (with, without) = (mean(&["guide_ripple=40"], mm), mean(&[], mm));
+            (0..3).map(|axis| (with[axis] - without[axis]).abs()).fold(0.0, f64::max)
+        });
+        assert!(moved.into_iter().fold(0.0, f64::max) > 1.0, "{moved:?}");
     }
 
     #[test]
