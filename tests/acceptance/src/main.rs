@@ -14,6 +14,7 @@ mod intervals;
 mod magnetic_disturbance;
 mod magpie;
 mod orientations;
+mod real;
 mod results;
 mod robustness;
 mod similarity;
@@ -109,6 +110,9 @@ enum Run {
     #[command(after_help = "Example:\n  cargo acceptance forged-frames --seeds 3")]
     ForgedFrames,
     Robustness(robustness::Args),
+    /// Diagnose measurements by others, of which something is known.
+    #[command(after_help = "Example:\n  cargo acceptance real")]
+    Real,
 }
 
 impl Run {
@@ -128,6 +132,7 @@ impl Run {
             Self::Orientations => orientations::evaluate(options),
             Self::ForgedFrames => forged_frames::evaluate(options),
             Self::Robustness(args) => robustness::evaluate(args, options),
+            Self::Real => real::evaluate(),
         }
     }
 }
