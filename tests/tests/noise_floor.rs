@@ -2,9 +2,10 @@
 
 use std::path::Path;
 
+use model_export::fit::FitOptions;
+use model_export::fit::campaign::{self, CampaignFits};
 use model_export::fit::cross_validation::CvSplit;
 use model_export::fit::rows::SensorRows;
-use model_export::fit::{FitOptions, campaign};
 use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
 use model_export::recordings::dependence::{Dependence, DependenceKind, dependences};
@@ -247,4 +248,59 @@ fn load_cells_of_nist_have_their_certified_pure_error() {
             assert!((0.8..1.5).contains(&ratio), "{file}: {ratio}");
         }
     }
+}
+
+/// A campaign of two tables of 20 settings; `signals` gives the signal of a load from 1 to 20 N in both.
+fn two_tables(signals: impl Fn(f64) -> [f64; 2]) -> Campaign {
+    let description = RECORDING_TOML.replace("start_s", "clock = \"assumed\"\nstart_s");
+    let folder = TempDir::new().unwrap();
+    for table in 0..2 {
+        let mut hall = "t_us,s0_x_v\n".to_owned();
+        let mut force = "t_us,f0_z_n\n".to_owned();
+        for load in 1..=20 {
+            let t_us = 1_000_000 * load;
+            hall += &format!("{t_us},{:.6}\n", signals(f64::from(load))[table]);
+            force += &format!("{t_us},{load}\n");
+        }
+        write_recording(&folder.path().join(table.to_string()), &description, &hall, &force);
+    }
+    read(folder.path())
+}
+
+/// 0.01 and -0.01 in turn.
+fn alternating(load: f64) -> f64 {
+    if load % 2.0 == 0.0 { 0.01 } else { -0.01 }
+}
+
+#[test]
+fn two_tables_of_the_same_settings_have_the_pure_error_between_them() {
+    // Half a volt apart, and 0.01 V about the mean of each setting: 40 squares of 0.01 V, and 40 - 20 - 1 degrees of freedom.
+    let campaign = two_tables(|load| {
+        let of_table = |sign: f64| load + sign * (0.25 + alternating(load));
+        [of_table(1.0), of_table(-1.0)]
+    });
+    for recording in &campaign.recordings {
+        assert_eq!(recording.noise.estimator, NoiseEstimator::Repeats);
+        let floor = recording.noise.floor_g().unwrap();
+        assert!((floor - (40.0_f64 * 1e-4 / 19.0).sqrt()).abs() < 1e-7, "{floor}");
+    }
+}
+
+#[test]
+fn a_line_through_a_parabola_is_answered_by_the_second_degree() {
+    // Noise of 0.01 V, a parabola of 0.005 V/N^2: the least squares line misses it by 0.148 V, root mean square over
+    // 1 to 20 N.
+    let campaign = two_tables(|load| {
+        [1.0, -1.0].map(|sign| load + 0.005 * load * load + sign * alternating(load))
+    });
+    let fitted = |degree| {
+        let (fits, _) =
+            campaign::polynomial(&campaign, Some(degree), FitOptions::default(), |_| ()).unwrap();
+        let CampaignFits::Polynomial(fits) = fits else { panic!("not a polynomial") };
+        fits[0].higher_degree()
+    };
+    let higher = fitted(1).unwrap();
+    assert_eq!(higher.degree, 2);
+    assert!(higher.now_g > 0.15 && higher.then_g < 0.02, "{higher:?}");
+    assert_eq!(fitted(2), None);
 }

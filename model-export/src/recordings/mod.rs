@@ -15,7 +15,6 @@
 //! - [`recording`]: one recording, validated, aligned and in memory.
 //! - [`campaign`]: all recordings of one gripper.
 //! - [`dependence`]: recordings of a campaign that are not independent.
-//! - [`harmonics`]: harmonics of the rotor's turn in a field.
 //! - [`mapping`]: mapping files and attitude conversion for imports.
 //! - [`import`]: conversion of third-party tables to a campaign.
 //! - [`mcap`]: topics of MCAP files and ROS 2 bags as tables, and the writer of MCAP files.
@@ -29,7 +28,6 @@ pub mod dependence;
 pub mod description;
 pub mod error;
 pub mod guess;
-pub mod harmonics;
 pub mod import;
 pub mod mapping;
 pub mod mcap;

@@ -6,7 +6,6 @@ use nalgebra::{DMatrix, DVector, Vector3};
 use crate::effects::operators;
 use crate::recordings::Recording;
 use crate::recordings::columns::Axis;
-use crate::recordings::harmonics::{TURN, standing_out};
 use crate::recordings::noise::autocorrelation_rows;
 
 /// Maximum number of terms.
@@ -245,9 +244,6 @@ impl SmoothField {
         let mut basis = basis(&leading);
         let room = (rows.len() / ROWS_PER_TERM).saturating_sub(basis.len());
         basis.further.extend(history.iter().take(room).map(Vec::as_slice));
-        let turn =
-            harmonics_of_turn(recording, &rows, &basis, &field, room - history.len().min(room));
-        basis.further.extend(turn.iter().map(Vec::as_slice));
         let (coefficients, residual_g) = basis.residual(&field)?;
         let mut slopes = vec![vec![Vector3::zeros(); forces.len()]; rows.len()];
         for (place, (force, load)) in loads.iter().enumerate() {
@@ -291,28 +287,6 @@ impl SmoothField {
         let forces = self.forces.iter().filter_map(|key| recording.forces.get(key));
         forces.map(|force| self.rows.iter().map(|&row| force.newtons[row]).collect()).collect()
     }
-}
-
-/// Sines and cosines of the harmonics of the rotor's turn that stand out in what a smooth leaves, at most as many as there is room for.
-fn harmonics_of_turn(
-    recording: &Recording,
-    rows: &[usize],
-    basis: &Basis,
-    field: &[Vector3<f64>],
-    room: usize,
-) -> Vec<Vec<f64>> {
-    let Some((angles, (_, residual))) = recording.covariates.get(TURN).zip(basis.residual(field))
-    else {
-        return Vec::new();
-    };
-    let angles: Vec<f64> = rows.iter().map(|&row| angles[row]).collect();
-    let found = standing_out(&[(angles.clone(), &residual)], 1);
-    let waves = found.into_iter().take(room / 2).flat_map(|harmonic| {
-        let turned = |angle: &f64| f64::from(harmonic) * angle;
-        let sines = angles.iter().map(|angle| libm::sin(turned(angle))).collect();
-        [sines, angles.iter().map(|angle| libm::cos(turned(angle))).collect()]
-    });
-    waves.collect()
 }
 
 fn sum_of_squares(values: &[Vector3<f64>]) -> f64 {

@@ -5,9 +5,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use analysis::diagnose::formulas::harmonics::TURN;
 use analysis::progress;
 use anyhow::{Context, Result, ensure};
-use model_export::recordings::harmonics::TURN;
 use model_export::recordings::units::round_significant;
 use serde_json::Value;
 use tests::{data, real_data};
@@ -22,7 +22,7 @@ const MIN_RIGHT: usize = 9;
 struct Set {
     folder: &'static str,
     what: &'static str,
-    judge: fn(&Set, &Files) -> Result<Vec<Claim>>,
+    check: fn(&Set, &Files) -> Result<Vec<Claim>>,
 }
 
 /// What is known, whether it was answered, and the answer in short.
@@ -40,21 +40,21 @@ const SETS: [Set; 10] = [
     Set {
         folder: "eflesh_normal",
         what: "5 Hall sensors over magnets in a lattice",
-        judge: lattice,
+        check: lattice,
     },
-    Set { folder: "px4_earth_field", what: "magnetometer on a vehicle", judge: earth_field },
-    Set { folder: "nist_pontius", what: "load cell, 20 loads twice", judge: pontius },
-    Set { folder: "odrive_cogging", what: "cogging of a brushless motor", judge: cogging },
-    Set { folder: "imu_thermal", what: "gyroscope in a thermal chamber", judge: thermal_chamber },
-    Set { folder: "eflesh_spatial", what: "probe on a grid over 5 Hall sensors", judge: grid },
-    Set { folder: "soft_finger_static", what: "soft finger, rows shuffled", judge: soft_finger },
-    Set { folder: "magnetometer_wrap", what: "driver that wraps an axis", judge: wrapped },
+    Set { folder: "px4_earth_field", what: "magnetometer on a vehicle", check: earth_field },
+    Set { folder: "nist_pontius", what: "load cell, 20 loads twice", check: pontius },
+    Set { folder: "odrive_cogging", what: "cogging of a brushless motor", check: cogging },
+    Set { folder: "imu_thermal", what: "gyroscope in a thermal chamber", check: thermal_chamber },
+    Set { folder: "eflesh_spatial", what: "probe on a grid over 5 Hall sensors", check: grid },
+    Set { folder: "soft_finger_static", what: "soft finger, rows shuffled", check: soft_finger },
+    Set { folder: "magnetometer_wrap", what: "driver that wraps an axis", check: wrapped },
     Set {
         folder: "nist_handbook",
         what: "load cell, acoustic microscope, thermocouple",
-        judge: handbook,
+        check: handbook,
     },
-    Set { folder: "rosbag2", what: "bags of ROS 2, whole and broken", judge: bags },
+    Set { folder: "rosbag2", what: "bags of ROS 2, whole and broken", check: bags },
 ];
 
 /// Runs all sets.
@@ -68,7 +68,7 @@ pub fn evaluate() -> Result<Section> {
         })?;
         let folder = tempfile::tempdir()?;
         let files = Files { source, folder: folder.path().to_owned() };
-        let claims = (set.judge)(set, &files).with_context(|| set.folder)?;
+        let claims = (set.check)(set, &files).with_context(|| set.folder)?;
         right += usize::from(claims.iter().all(|claim| claim.is_answered));
         for (place, claim) in claims.into_iter().enumerate() {
             let name =
@@ -84,7 +84,7 @@ pub fn evaluate() -> Result<Section> {
         title: "Measurements by others",
         extent: format!("{} sets", SETS.len()),
         conditions: format!(
-            "Public measurements, each imported, fitted and diagnosed with the commands and without hints. What is known is from the \
+            "Public measurements, each imported, fitted and diagnosed with the commands; held-out errors as each set's folds allow. What is known is from the \
              origin of each set, or from regressions outside this project. Specified: everything known is answered in at least \
              {MIN_RIGHT} of {} sets ({right}).",
             SETS.len()
@@ -285,7 +285,7 @@ fn earth_field(set: &Set, files: &Files) -> Result<Vec<Claim>> {
         ),
         claim("0.0149 to 0.0075 G held out", after < 0.008, format!("{} G", found.fall())),
         claim(
-            "offset and field cannot be told apart, the heading moved by 28 degrees",
+            "offset and field are confounded, the heading moved by 28 degrees",
             found.verdict().contains("yaw 28 degrees"),
             found.verdict(),
         ),
@@ -310,8 +310,8 @@ fn pontius(set: &Set, files: &Files) -> Result<Vec<Claim>> {
             found.verdict(),
         ),
         claim(
-            "pure error 2.147e-4",
-            (floor_g / 2.147e-4 - 1.0).abs() < 0.15,
+            "pure error 2.147e-4, of which 1.942e-4 without the difference of the two runs",
+            (floor_g / 1.942e-4 - 1.0).abs() < 0.01,
             format!("{floor_g:.3e}"),
         ),
     ])
@@ -425,8 +425,8 @@ fn wrapped(set: &Set, files: &Files) -> Result<Vec<Claim>> {
     let mapping = files.source.join("mapping.toml");
     let wrong =
         files.diagnosed(set.folder, &mapping, &files.sources(&["mag_bug_driver.csv"]), &[])?;
-    let mended =
-        files.diagnosed("mended", &mapping, &files.sources(&["mag_bug_fixed.csv"]), &[])?;
+    let corrected =
+        files.diagnosed("corrected", &mapping, &files.sources(&["mag_bug_fixed.csv"]), &[])?;
     let text = wrong.finding("wrapped").unwrap_or("not stated");
     Ok(vec![
         claim(
@@ -434,11 +434,15 @@ fn wrapped(set: &Set, files: &Files) -> Result<Vec<Claim>> {
             text.contains("65536") && text.contains("71 of 303") && text.contains("9.18"),
             text,
         ),
-        claim("not saturated", wrong.finding("saturated").is_none(), named(&[])),
         claim(
-            "nothing in the mended driver's file",
-            mended.list("findings").is_empty(),
-            mended.verdict(),
+            "not saturated",
+            wrong.finding("saturated").is_none(),
+            wrong.finding("saturated").unwrap_or("none"),
+        ),
+        claim(
+            "nothing in the corrected driver's file",
+            corrected.list("findings").is_empty(),
+            corrected.verdict(),
         ),
     ])
 }
@@ -483,6 +487,16 @@ fn handbook(_: &Set, files: &Files) -> Result<Vec<Claim>> {
     ])
 }
 
+/// Numbers of a bag that is there in both formats.
+const PAIR: &str = r#"description = "a bag in two formats"
+[hall]
+clock = { from = "b_basictypes.log_time", unit = "ns" }
+columns = [{ from = "b_basictypes.int32_value", unit = "V", to = "s0_x_v" }]
+[force]
+clock = { from = "b_basictypes.log_time", unit = "ns" }
+columns = []
+"#;
+
 fn bags(_: &Set, files: &Files) -> Result<Vec<Claim>> {
     let mut paths = Vec::new();
     find_bags(&files.source, &mut paths)?;
@@ -505,26 +519,22 @@ fn bags(_: &Set, files: &Files) -> Result<Vec<Claim>> {
         }
         texts.insert(path.clone(), text.replace(&path.display().to_string(), "BAG"));
     }
-    // Folders of the same messages in two formats: everything but the format's own folder is the same.
-    let pairs: Vec<(&PathBuf, PathBuf)> = paths
-        .iter()
-        .filter(|path| path.components().any(|part| part.as_os_str() == "mcap"))
-        .map(|path| {
-            (
-                path,
-                path.iter()
-                    .map(|part| if part == "mcap" { "sqlite3".as_ref() } else { part })
-                    .collect(),
-            )
-        })
-        .collect();
     let split: Vec<&str> = texts
         .iter()
         .filter(|(path, _)| path.ends_with("multiple_files"))
         .map(|(_, text)| text.as_str())
         .collect();
     let is_read = |text: &&str| !text.contains("a folder without .csv files");
-    let twins = pairs.iter().filter(|(_, twin)| texts.contains_key(twin)).count();
+    let mapping = files.folder.join("pair.toml");
+    fs::write(&mapping, PAIR)?;
+    let of_pair = |format: &str| {
+        let source = files.source.join("rosbag2_py").join(format).join("convert_a");
+        let target = files.folder.join(format);
+        magpie::run(&["import".as_ref(), &*mapping, &source, "-o".as_ref(), &target], None)
+    };
+    let (in_mcap, in_sqlite) = (of_pair("mcap"), of_pair("sqlite3"));
+    let refusal = in_sqlite.err().map_or_else(String::new, |error| format!("{error:#}"));
+    let reason = refusal.split(": ").last().unwrap_or_default().to_owned();
     Ok(vec![
         claim(
             "no panic",
@@ -545,7 +555,12 @@ fn bags(_: &Set, files: &Files) -> Result<Vec<Claim>> {
             !split.is_empty() && split.iter().all(is_read),
             split.join(" "),
         ),
-        claim("bags in both formats", twins > 0, format!("{twins} pairs")),
+        claim(
+            "a pair in both formats: numbers from MCAP; SQLite has no definition of their message",
+            in_mcap.is_ok()
+                && reason.contains("the definition of its message type is not in the file"),
+            reason,
+        ),
     ])
 }
 

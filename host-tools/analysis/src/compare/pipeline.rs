@@ -11,7 +11,7 @@ use crate::compare::residual_table::{ResidualTable, error_unit, residual_map, wo
 use crate::compare::{
     Attribution, Comparison, ComparisonProvenance, EffectOrigin, FieldAxisErrors, NoiseFloor,
 };
-use crate::data_quality::campaign_checks::{campaign_findings, follows_field};
+use crate::data_quality::campaign_checks::{campaign_findings, is_of_set_covariates};
 use crate::data_quality::model_checks::SensorPrediction;
 use crate::data_quality::{Finding, check_against_model, merge};
 use crate::noise_floor::NoiseSummary;
@@ -49,7 +49,7 @@ pub fn setup_errors_of(
     };
     let mut findings = merge(scanned.findings.clone(), of_model);
     if let Some(campaign) = scanned.reader.as_ref().and_then(CampaignReader::cached) {
-        findings.retain(|finding| !follows_field(finding, campaign));
+        findings.retain(|finding| !is_of_set_covariates(finding, campaign));
         findings.extend(campaign_findings(campaign));
     }
     Ok(findings)

@@ -41,7 +41,7 @@ pub fn campaign_findings(campaign: &Campaign) -> Vec<Finding> {
 }
 
 /// Whether a finding of constant covariates names one that was set anew for each row.
-pub fn follows_field(finding: &Finding, campaign: &Campaign) -> bool {
+pub fn is_of_set_covariates(finding: &Finding, campaign: &Campaign) -> bool {
     let Evidence::ConstantCovariates { columns, .. } = &finding.evidence else { return false };
     let follows = |name: &str| {
         let name = if name.ends_with("_temp_c") { "temp_c" } else { name };

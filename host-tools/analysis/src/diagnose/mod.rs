@@ -98,7 +98,7 @@ pub struct Diagnosis {
     pub remaining: Option<RemainingStructure>,
     /// Degree of the polynomial that describes the forces clearly better than that of the model.
     pub higher_degree: Option<HigherDegree>,
-    /// Offsets of sensors that the recordings cannot tell from an accepted effect.
+    /// Offsets of sensors that are confounded with an accepted effect.
     pub confounded_offsets: Option<ConfoundedOffsets>,
     /// True if the residual is indistinguishable from noise.
     pub at_floor: bool,
@@ -380,7 +380,7 @@ pub struct StaircaseStep {
     pub floor_g: f64,
 }
 
-/// Offsets of sensors that these recordings cannot tell from the ambient field of an effect.
+/// Offsets of sensors that are confounded with the ambient field of an effect in these recordings.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ConfoundedOffsets {
     /// Numbers of the sensors.

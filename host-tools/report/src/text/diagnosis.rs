@@ -694,7 +694,7 @@ pub fn verdict(diagnosis: &Diagnosis) -> String {
     sentences.into_iter().flatten().collect::<Vec<_>>().join(" ")
 }
 
-/// That the offsets of sensors cannot be told from the Earth's field.
+/// That the offsets of sensors are confounded with the Earth's field.
 pub fn confounded_offsets(of: &ConfoundedOffsets) -> String {
     let sensors: Vec<String> = of.sensors.iter().map(u32::to_string).collect();
     let [roll, pitch, yaw] = of.range_deg;

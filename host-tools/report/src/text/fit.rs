@@ -238,7 +238,7 @@ pub fn verdict(model: &ModelFile) -> String {
     let why = match model.base {
         BaseKind::Cylinder => "an effect is missing from the model, or the clocks are misaligned.",
         BaseKind::Polynomial if axis.rms_g > GROSS * axis.span_g => {
-            "an error of this size has a cause that is no force: further inputs of the field, or the setup (exchanged sensors, units, clocks)."
+            "the degree is too low, the field depends on further inputs, or the setup is wrong (exchanged sensors, units, clocks)."
         }
         BaseKind::Polynomial => "the degree is too low, or the field depends on further inputs.",
     };

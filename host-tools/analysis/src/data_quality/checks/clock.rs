@@ -3,9 +3,10 @@
 use crate::data_quality::checks::{Channel, CheckContext, Found};
 use crate::data_quality::evidence::Evidence;
 use crate::data_quality::fix::{Change, Fix, FixKind, Repair};
-use crate::data_quality::scan::column::Quantity;
+use crate::data_quality::scan::column::{ColumnScan, Quantity};
 use crate::data_quality::scan::{Repeats, TableScan};
 use model_export::recordings::Location;
+use std::f64::consts::PI;
 
 /// Timestamps that decrease, an error for the readers.
 pub fn backwards<'a>(context: &CheckContext<'a>) -> Vec<Found<'a>> {
@@ -151,27 +152,35 @@ pub fn repeated_samples<'a>(context: &CheckContext<'a>) -> Vec<Found<'a>> {
         sensors: (!is_all).then_some(sensors),
         recordings: context.recordings_in(hit.iter().map(|(recording, _, _)| *recording)),
         share: repeats.share(),
-        by_chance: repeats.by_chance(),
+        by_chance: by_chance(worst, repeats),
         rate_hz: 1e6 / worst.clock.period_us * (1.0 - repeats.share()),
     };
     vec![Found::new(Location::file(&worst.path).line(repeats.line), evidence)]
 }
 
-/// Fewer repeated rows are chance in a table of settings, where readings are rounded.
-const MIN_REPEATED: u64 = 10;
-
 /// True where noise should have changed the axes of a sensor in many rows but did not.
 fn has_repeats(table: &TableScan, repeats: &Repeats) -> bool {
-    let noisy = table.columns.iter().any(|column| {
-        let own =
-            matches!(column.quantity, Quantity::Field { sensor, .. } if sensor == repeats.sensor);
-        own && column.is_noisy()
-    });
     let share = repeats.share();
-    noisy
-        && repeats.repeated >= MIN_REPEATED
+    axes(table, repeats).any(ColumnScan::is_noisy)
         && share > NOTICEABLE
-        && share > BEYOND_CHANCE * repeats.by_chance()
+        && share > BEYOND_CHANCE * by_chance(table, repeats)
+}
+
+fn axes<'a>(table: &'a TableScan, repeats: &Repeats) -> impl Iterator<Item = &'a ColumnScan> {
+    let number = repeats.sensor;
+    table.columns.iter().filter(
+        move |column| matches!(column.quantity, Quantity::Field { sensor, .. } if sensor == number),
+    )
+}
+
+/// Share of rows that repeat the one before by chance. Of several axes each shows it in the rows in which another one changed; of one
+/// axis it is the probability that two values with its noise are rounded to the same step.
+fn by_chance(table: &TableScan, repeats: &Repeats) -> f64 {
+    let mut axes = axes(table, repeats);
+    match (axes.next(), axes.next()) {
+        (Some(only), None) => only.grid.step() / (2.0 * PI.sqrt() * only.noise()),
+        _ => repeats.by_chance(),
+    }
 }
 
 /// True where any sensor of the table has repeated samples.

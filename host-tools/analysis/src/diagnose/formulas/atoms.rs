@@ -3,10 +3,9 @@
 
 use model_export::effects::expression::ParameterRange;
 use model_export::effects::{ExcitationSeries, Expression};
-use model_export::recordings::harmonics::TURN;
 use model_export::recordings::units::round_significant;
 
-use crate::diagnose::formulas::harmonics::USUAL;
+use crate::diagnose::formulas::harmonics::{TURN, USUAL};
 
 /// Highest number of periods within the travel of the opening, and the step of the search.
 const PERIODS: (f64, f64) = (40.0, 0.5);
@@ -165,7 +164,7 @@ impl Span {
     }
 }
 
-/// All functions of a covariate; those of [`TURN`] are its `harmonics`, of which [`USUAL`] ones are multiplied with other covariates.
+/// All functions of a covariate; those of [`TURN`] are its `harmonics`, and [`USUAL`] are multiplied with other covariates.
 pub fn atoms_of(covariate: &str, span: Span, harmonics: &[u32]) -> Vec<Atom> {
     if covariate == TURN {
         let mut atoms = angle_atoms(covariate, &USUAL, true);

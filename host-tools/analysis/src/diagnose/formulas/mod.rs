@@ -9,7 +9,7 @@
 //!
 //! - [`chain_points`]: where a formula can act.
 //! - [`atoms`]: functions of one covariate.
-//! - [`harmonics`]: those of the rotor's turn that stand out in a residual.
+//! - [`harmonics`]: those of the rotor's turn in a residual.
 //! - [`dictionary`]: their products, and their values.
 //! - [`rows`]: a fitted model linearised, whitened and averaged.
 //! - [`scan`]: scores and significance.
@@ -31,7 +31,6 @@ use model_export::fit::score_test::{CandidateScore, ScoreTest};
 use model_export::model_file::EffectModel;
 use model_export::recordings::Campaign;
 use model_export::recordings::columns::{Axis, STATOR_CURRENTS};
-use model_export::recordings::harmonics::TURN;
 use rayon::prelude::*;
 
 use crate::compare::AT_FLOOR;
@@ -42,6 +41,7 @@ use crate::diagnose::selection::{FittedModel, Selection};
 use candidate::{COEFFICIENTS, Candidate, columns_at};
 use chain_points::ChainPoint;
 use dictionary::{Dictionary, RankedCandidate};
+use harmonics::TURN;
 use rows::{SensorRows, Windows};
 use scan::{Scan, Score, TermScan};
 
@@ -296,7 +296,7 @@ pub struct FormulaSearch<'a> {
 }
 
 impl<'a> FormulaSearch<'a> {
-    /// Over the covariates that vary; of the rotor's turn those harmonics that stand out in the residual of `last`. `block_s`: length in
+    /// Over the covariates that vary; of the rotor's turn the harmonics in the residual of `last`. `block_s`: length in
     /// seconds of the blocks of residuals that are independent.
     pub fn new(
         campaign: &Campaign,

@@ -15,15 +15,12 @@ use crate::diagnose::selection::FittedModel;
 
 /// Rate in Hz to which rows are averaged.
 const RATE_HZ: f64 = 25.0;
-/// Rows of a sensor, at least, for which as many are averaged: fewer are taken as they are.
+/// Rows of a sensor after averaging, at least: fewer are not averaged.
 const MIN_ROWS: usize = 1000;
 /// Maximum number of averaged rows of a sensor; more are left out evenly.
 const MAX_ROWS: usize = 4000;
 /// Folds where there is one recording.
 const FOLDS: usize = 6;
-/// Minimum length of the blocks of the sign-flip test in seconds, in recordings that are long enough for as many blocks.
-const MIN_BLOCK_S: f64 = 5.0;
-const MIN_BLOCKS: f64 = 15.0;
 
 /// Averaged rows of one recording: ranges of its rows.
 pub type Windows = Vec<Range<usize>>;
@@ -35,9 +32,9 @@ pub fn windows(setup: &FitSetup) -> Vec<Vec<Windows>> {
             let span_s = part.time_s.last()? - part.time_s.first()?;
             (part.len() > 1 && span_s > 0.0).then(|| span_s / (part.len() - 1) as f64)
         });
-        let rows_count: usize = rows.parts.iter().map(|part| part.len()).sum();
+        let count: usize = rows.parts.iter().map(|part| part.len()).sum();
         let length = period_s.map_or(1, |period_s| (1.0 / (RATE_HZ * period_s)) as usize);
-        let length = length.min(rows_count / MIN_ROWS).max(1);
+        let length = length.min(count / MIN_ROWS).max(1);
         let all: usize = rows.parts.iter().map(|part| part.len() / length).sum();
         let stride = all.div_ceil(MAX_ROWS).max(1);
         let of_part = |part: &RecordingRows| {
@@ -122,11 +119,6 @@ fn of_sensor(
     let left_out = of_effects(&|effect| without.contains(effect));
     let without_prior = of_effects(&|effect| matches!(effect, EffectTerm::Expression(_)));
     let stiffness = problem.base.stiffness(values);
-    let span_s = |part: &RecordingRows| {
-        part.time_s.last().unwrap_or(&0.0) - part.time_s.first().unwrap_or(&0.0)
-    };
-    let duration_s: f64 = rows.parts.iter().map(span_s).sum();
-    let block_s = block_s.max(MIN_BLOCK_S.min(duration_s / MIN_BLOCKS));
     let (mut residual, mut patterns) = (Vec::new(), vec![Vec::new(); points.len()]);
     let mut jacobian: Vec<f64> = Vec::new();
     let mut folds: Vec<(Option<usize>, Range<usize>)> = Vec::new();
