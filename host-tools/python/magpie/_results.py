@@ -169,6 +169,7 @@ class Verdict:
     gain: float
     """Reduction of the held-out squared error, as a fraction."""
     p_adjusted: float | None
+    """p-value of no reduction of the held-out squared error by more than 0.1 %, adjusted for all tested effects."""
     value: float | None
     std_error: float | None
     unit: str

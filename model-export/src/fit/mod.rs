@@ -6,6 +6,7 @@
 //! - [`polynomial`]: the base model without a known geometry.
 //! - [`base_model`]: both base models behind one trait.
 //! - [`cross_validation`]: splits, held-out error and noise floor.
+//! - [`held_out`]: held-out residuals of a linearised model.
 //! - [`problem`]: one sensor's fields and Jacobian as a function of all its parameters.
 //! - [`block_bootstrap`]: error bars for autocorrelated residuals.
 //! - [`identifiability`]: which combinations of parameters the data determine.
@@ -24,6 +25,7 @@ pub mod block_bootstrap;
 pub mod campaign;
 pub mod cross_validation;
 pub mod effect_size;
+pub mod held_out;
 pub mod identifiability;
 pub mod initial_guess;
 pub mod joint;

@@ -8,6 +8,7 @@
 use crate::effects::{Aggregation, EffectParameter, EffectTerm, ParameterKind};
 use crate::fit::campaign::FitSetup;
 use crate::fit::cross_validation::{CvSplit, Fold};
+use crate::fit::held_out::{BlockChange, Folds, HeldOut, inverse};
 use crate::fit::initial_guess::{ShapeSearch, search_one};
 use crate::fit::joint::JointFit;
 use crate::fit::linearisation::{COLUMN_HEIGHT, Linearisation, NormalEquations};
@@ -40,6 +41,8 @@ pub struct ScoreTest<'a> {
 pub struct CandidateScore {
     /// Held-out weighted squared residual of each fold: without the candidate, with it.
     pub folds: Vec<(f64, f64)>,
+    /// Change of the held-out squared residual in each block of time.
+    pub by_block: Vec<BlockChange>,
     /// Held-out mean square of the force error that the residual causes in the device's inverse, in N^2 over all sensors and measured
     /// forces: without the candidate, with it.
     pub force_n2: [f64; 2],
@@ -182,6 +185,7 @@ impl<'a> ScoreTest<'a> {
             .map(|(sensor, regressors)| sensor.evaluate(regressors, within))
             .collect();
         let mut folds: Vec<(f64, f64)> = Vec::new();
+        let mut by_block = vec![BlockChange::default(); self.blocks];
         let mut force_n2 = [0.0; 2];
         for (_, _, own) in &scored {
             folds.resize(folds.len().max(own.len()), (0.0, 0.0));
@@ -189,6 +193,9 @@ impl<'a> ScoreTest<'a> {
                 sum.0 += own.field.0;
                 sum.1 += own.field.1;
             });
+            for (block, change) in own.iter().flat_map(|fold| &fold.blocks) {
+                by_block[*block].add(*change);
+            }
             let forces: f64 = own.iter().map(|fold| fold.forces).sum();
             for (mean, of) in
                 force_n2.iter_mut().zip([|f: &HeldOut| f.force_n2.0, |f: &HeldOut| f.force_n2.1])
@@ -201,6 +208,7 @@ impl<'a> ScoreTest<'a> {
             scored.into_iter().map(|(orthogonal, inverse, _)| (orthogonal, inverse)).unzip();
         let mut score = CandidateScore {
             folds,
+            by_block,
             force_n2,
             explained: 0.0,
             count,
@@ -271,7 +279,7 @@ impl<'a> ScoreTest<'a> {
     pub fn time_spline_gain(&self) -> f64 {
         let scored = self.sensors.par_iter().enumerate().map(|(s, sensor)| {
             let columns = sensor.linearisation.spline_columns(&self.setup.rows[s], KNOTS);
-            let folds = sensor.held_out_squares(&columns, 1);
+            let folds = sensor.folds[1].with(&columns);
             folds.iter().fold((0.0, 0.0), |(a, b), f| (a + f.field.0, b + f.field.1))
         });
         let (without, with) = scored.reduce(|| (0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
@@ -288,7 +296,7 @@ impl<'a> ScoreTest<'a> {
             let (rows, base) = (&self.setup.rows[s], self.setup.bases[s].as_ref());
             let problem = SensorProblem::new(rows, base, &self.effects);
             let columns = form_columns(&sensor.linearisation, &problem, &self.values[s], place);
-            let folds = sensor.held_out_squares(&columns, self.is_within(effect));
+            let folds = sensor.folds[self.is_within(effect)].with(&columns);
             folds.iter().fold((0.0, 0.0), |(a, b), f| (a + f.field.0, b + f.field.1))
         });
         let (without, with) = scored.reduce(|| (0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
@@ -548,7 +556,7 @@ pub(super) struct SensorScore {
     /// Block of each row (three entries of the residual).
     pub(super) block: Vec<usize>,
     /// By recordings, and within them.
-    folds: [Vec<FoldRows>; 2],
+    folds: [Folds; 2],
     /// After one more linear step of the fitted parameters.
     residual: DVector<f64>,
     /// Weight of the prior: rows per independent row.
@@ -572,7 +580,8 @@ impl SensorScore {
         Self {
             inverse,
             residual: left,
-            folds: fold_of.map(|fold_of| FoldRows::all(&linearisation, &fold_of, &to_force)),
+            folds: fold_of
+                .map(|fold_of| Folds::new(&linearisation, (&fold_of, &block), &to_force, prior)),
             coarse: linearisation.thinned(COARSE),
             linearisation,
             block,
@@ -595,131 +604,8 @@ impl SensorScore {
     ) -> (DMatrix<f64>, DMatrix<f64>, Vec<HeldOut>) {
         let orthogonal = self.orthogonal(regressors);
         let inverse = inverse(gram(&columns(&orthogonal, 0..orthogonal.nrows())), self.prior);
-        (orthogonal, inverse, self.held_out_squares(regressors, kind))
+        (orthogonal, inverse, self.folds[kind].with(regressors))
     }
-
-    /// Held-out squares without and with these regressors, by fold.
-    pub(super) fn held_out_squares(&self, regressors: &DMatrix<f64>, kind: usize) -> Vec<HeldOut> {
-        let folds = &self.folds[kind];
-        let bordered: Vec<FoldNormals> = folds.iter().map(|fold| fold.with(regressors)).collect();
-        let alone: Vec<&FoldNormals> = folds.iter().map(|fold| &fold.normals).collect();
-        let with: Vec<&FoldNormals> = bordered.iter().collect();
-        let held_out = |k: usize| {
-            let (without, with) =
-                (held_out_squares(&alone, k, self.prior), held_out_squares(&with, k, self.prior));
-            HeldOut {
-                field: (without.0, with.0),
-                force_n2: (without.1, with.1),
-                forces: folds[k].forces(),
-            }
-        };
-        (0..folds.len()).map(held_out).collect()
-    }
-}
-
-/// Held-out sums of squares of one fold, without and with a candidate.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct HeldOut {
-    /// Of the weighted residual.
-    field: (f64, f64),
-    /// Of the force errors in N^2.
-    force_n2: (f64, f64),
-    /// Number of force errors.
-    forces: f64,
-}
-
-/// Residual sums of squares of one fold, of field and forces, with the coefficients fitted to the fields of all others.
-fn held_out_squares(folds: &[&FoldNormals], k: usize, prior: f64) -> (f64, f64) {
-    let others = folds.iter().enumerate().filter(|(i, _)| *i != k).map(|(_, fold)| &fold.field);
-    let own = folds[k];
-    let sum = NormalEquations::sum(others)
-        .unwrap_or_else(|| NormalEquations::zeros(own.field.right.len()));
-    let coefficients = inverse(sum.matrix, prior) * sum.right;
-    (own.field.residual_squares(&coefficients), own.force.residual_squares(&coefficients))
-}
-
-/// Normal equations of one fold: of the weighted residual, and of the force errors that it causes.
-struct FoldNormals {
-    field: NormalEquations,
-    force: NormalEquations,
-}
-
-/// Rows of one fold, with the normal equations of the fitted columns.
-struct FoldRows {
-    entries: Vec<usize>,
-    fixed: DMatrix<f64>,
-    residual: DVector<f64>,
-    /// Of each row.
-    to_force: Vec<Matrix2x3<f64>>,
-    /// Fixed columns and residual as errors of the forces.
-    fixed_n: DMatrix<f64>,
-    residual_n: DVector<f64>,
-    normals: FoldNormals,
-}
-
-impl FoldRows {
-    /// All folds; `fold_of` is the fold of each row.
-    fn all(
-        linearisation: &Linearisation,
-        fold_of: &[usize],
-        to_force: &[Matrix2x3<f64>],
-    ) -> Vec<Self> {
-        let count = fold_of.iter().max().map_or(0, |last| last + 1);
-        let of_fold = |fold: usize| {
-            let rows = || fold_of.iter().enumerate().filter(|(_, own)| **own == fold);
-            let to_force: Vec<Matrix2x3<f64>> = rows().map(|(row, _)| to_force[row]).collect();
-            let entries: Vec<usize> = rows().flat_map(|(row, _)| 3 * row..3 * row + 3).collect();
-            let fixed = linearisation.fixed().select_rows(&entries);
-            let residual = linearisation.residual().select_rows(&entries);
-            let fixed_n = as_forces(&fixed, &to_force);
-            let residual_n =
-                as_forces(&DMatrix::from_columns(std::slice::from_ref(&residual)), &to_force)
-                    .column(0)
-                    .into_owned();
-            let normals = FoldNormals {
-                field: NormalEquations::of(&fixed, &residual, 0..entries.len()),
-                force: NormalEquations::of(&fixed_n, &residual_n, 0..residual_n.len()),
-            };
-            Self { entries, fixed, residual, to_force, fixed_n, residual_n, normals }
-        };
-        (0..count).map(of_fold).collect()
-    }
-
-    /// Number of measured forces in all rows.
-    fn forces(&self) -> f64 {
-        let rows = self.to_force.iter().flat_map(|of| [of.row(0).amax(), of.row(1).amax()]);
-        rows.filter(|largest| *largest > 0.0).count() as f64
-    }
-
-    /// With these columns, over all rows, appended.
-    fn with(&self, columns: &DMatrix<f64>) -> FoldNormals {
-        let own = columns.select_rows(&self.entries);
-        let own_n = as_forces(&own, &self.to_force);
-        let (rows, forces) = (0..self.entries.len(), 0..self.residual_n.len());
-        FoldNormals {
-            field: self.normals.field.with(&self.fixed, &own, &self.residual, rows),
-            force: self.normals.force.with(&self.fixed_n, &own_n, &self.residual_n, forces),
-        }
-    }
-}
-
-/// Columns over the axes of the field in each row, as errors of both forces.
-fn as_forces(columns: &DMatrix<f64>, to_force: &[Matrix2x3<f64>]) -> DMatrix<f64> {
-    let mut forces = DMatrix::zeros(2 * to_force.len(), columns.ncols());
-    for (row, to_force) in to_force.iter().enumerate() {
-        let of_row = to_force * columns.rows(3 * row, 3);
-        forces.rows_mut(2 * row, 2).copy_from(&of_row);
-    }
-    forces
-}
-
-/// Inverse of normal equations with a prior of one width on each parameter.
-fn inverse(mut normal: DMatrix<f64>, prior: f64) -> DMatrix<f64> {
-    for i in 0..normal.nrows() {
-        normal[(i, i)] += prior;
-    }
-    let size = normal.nrows();
-    normal.cholesky().map_or_else(|| DMatrix::zeros(size, size), |factor| factor.inverse())
 }
 
 #[cfg(test)]

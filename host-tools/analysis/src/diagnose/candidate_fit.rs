@@ -9,7 +9,6 @@ use anyhow::Result;
 use model_export::effects::EffectTerm;
 use model_export::fit::FitOptions;
 use model_export::fit::campaign::FitSetup;
-use model_export::fit::score_test::ScoreTest;
 use rayon::prelude::*;
 use std::borrow::Cow;
 
@@ -25,8 +24,6 @@ const MIN_RELATIVE_GAIN: f64 = 0.5;
 const NEAR: f64 = 0.05;
 /// Minimum relative gain of an equivalent effect where the recordings hardly distinguish the two.
 const COLLINEAR_GAIN: f64 = 0.5;
-/// Minimum gain of a transient effect relative to an arbitrary function of time.
-const MIN_OF_FREE: f64 = 0.8;
 /// Minimum gain of a transient effect relative to everything that is not noise: with less, it imitates something in time, and
 /// its many coefficients take long to fit.
 const MIN_OF_EXCESS: f64 = 0.2;
@@ -71,13 +68,12 @@ struct Ranking<'a> {
 pub fn best_candidate(
     prepared: &FitSetup,
     stage: &FittedModel,
-    around: &ScoreTest,
     selection: &Selection,
     options: FitOptions,
     implausible: &mut Vec<ImplausibleFit>,
 ) -> Result<Option<(AcceptedStep, FittedModel)>> {
     let excess = 1.0 - stage.floors().powi(-2);
-    let candidates = candidates_to_fit(&selection.last, excess, || around.time_spline_gain());
+    let candidates = candidates_to_fit(&selection.last, excess);
     let (within, ordinary): (Vec<_>, Vec<_>) =
         candidates.into_iter().partition(|screened| screened.candidate.is_transient());
     let ordinary = CandidateFit::new(prepared, stage, &ordinary, options)?.rank(
@@ -101,7 +97,7 @@ pub fn best_candidate(
         shadows: outcome.shadows,
         gain: best.gain,
         reduction: best.reduction,
-        p_adjusted: best.screened.p_adjusted,
+        p_adjusted: best.screened.p_of_acceptance(),
         z_typical: best.screened.evidence.z_typical,
         form_gain: 0.0,
     };
@@ -123,7 +119,7 @@ pub fn best_pair(
     // What the other one hides may make one of them insignificant.
     let testable = |s: &&ScreenedEffect| {
         let improves = s.evidence.wins() == s.evidence.folds.len() && s.evidence.gain() > MIN_GAIN;
-        !s.candidate.is_transient() && (improves || s.p_adjusted < LEVEL)
+        !s.candidate.is_transient() && (improves || s.p_explained < LEVEL)
     };
     let mut contenders: Vec<&ScreenedEffect> = selection.last.iter().filter(testable).collect();
     // The held-out error of one alone says little here: by what they explain of the fitted rows.
@@ -305,24 +301,18 @@ fn equivalent_gain(one: &ScreenedEffect, other: &ScreenedEffect, selection: &Sel
 
 /// Candidates to fit: the significant ones, sorted by the gain of the score test, and those that can replace the best. `excess` is
 /// the fraction of the squared error that is not noise.
-fn candidates_to_fit(
-    screened: &[ScreenedEffect],
-    excess: f64,
-    time_spline_gain: impl FnOnce() -> f64,
-) -> Vec<&ScreenedEffect> {
+fn candidates_to_fit(screened: &[ScreenedEffect], excess: f64) -> Vec<&ScreenedEffect> {
     let significant: Vec<&ScreenedEffect> =
         screened.iter().filter(|s| s.is_significant()).collect();
     let within = |s: &ScreenedEffect| s.candidate.is_transient();
     let ordinary = significant.iter().find(|s| !within(s)).map_or(0.0, |s| s.evidence.gain());
-    // A transient effect must be as good as the others, and nearly as good as any function of time.
-    let free = if significant.iter().any(|s| within(s)) { time_spline_gain() } else { 0.0 };
+    // A transient effect must be as good as the others.
     let is_fitted = |s: &&ScreenedEffect| {
-        if within(s) {
-            let least = ordinary.max(MIN_OF_EXCESS * excess) * (1.0 - NEAR);
-            s.evidence.gain() >= least.max(MIN_OF_FREE * free)
-        } else {
-            s.evidence.gain() >= MIN_RELATIVE_GAIN * ordinary
-        }
+        let least = match within(s) {
+            true => ordinary.max(MIN_OF_EXCESS * excess) * (1.0 - NEAR),
+            false => MIN_RELATIVE_GAIN * ordinary,
+        };
+        s.evidence.gain() >= least
     };
     let mut fitted: Vec<&ScreenedEffect> =
         significant.into_iter().filter(is_fitted).take(MAX_FITTED).collect();
@@ -336,7 +326,7 @@ fn candidates_to_fit(
     if fitted.is_empty() {
         // What resembles a parameter of the model (the Earth's field its offset, of a gripper that hardly turns) predicts no other
         // rows in the linearised model, in which every direction is free. A fit keeps the directions that its rows do not determine.
-        fitted = screened.iter().filter(|s| s.p_adjusted < LEVEL && !within(s)).collect();
+        fitted = screened.iter().filter(|s| s.p_explained < LEVEL && !within(s)).collect();
         fitted.sort_by(|a, b| b.evidence.explained.total_cmp(&a.evidence.explained));
         fitted.truncate(MAX_UNDETERMINED);
     }

@@ -5,6 +5,7 @@ use crate::diagnose::{AssumedTimes, Reason};
 use crate::statistics::mean_and_std;
 use model_export::effects::excitation::{BUILT_IN_COVARIATES, OPENING_RATE, source_column};
 use model_export::effects::{CATALOGUE, EffectTerm};
+use model_export::fit::held_out::BlockChange;
 use model_export::fit::score_test::{CandidateScore, ScoreTest};
 use model_export::model_file::{BaseKind, ModelFile};
 use model_export::recordings::noise_model::RowOrder;
@@ -12,6 +13,7 @@ use model_export::recordings::{Campaign, Recording};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
+use statrs::distribution::{ContinuousCDF, StudentsT};
 
 /// A candidate that these recordings cannot test.
 #[derive(Clone, Debug)]
@@ -189,8 +191,12 @@ pub fn varies(columns: &[Vec<f64>]) -> bool {
 const DRAWS: usize = 499;
 /// Significance level, adjusted for all candidates.
 pub const LEVEL: f64 = 0.05;
+/// Least p-value that is stated: further tails of sums over some blocks are not known.
+const LEAST_P: f64 = 0.001;
 /// Minimum reduction of the cross-validated squared error.
 pub const MIN_GAIN: f64 = 0.001;
+/// Minimum gain of a transient effect relative to an arbitrary function of time.
+const MIN_OF_FREE: f64 = 0.8;
 
 /// Score test of one candidate.
 pub struct ScreenedEffect {
@@ -198,14 +204,28 @@ pub struct ScreenedEffect {
     pub candidate: EffectTerm,
     /// Result of the score test.
     pub evidence: CandidateScore,
-    /// p-value adjusted for the maximum over all candidates.
+    /// Share of random signs of the blocks under which any candidate explains as much of the fitted rows. Noise as slow as the
+    /// recordings makes it small.
+    pub p_explained: f64,
+    /// p-value of no reduction of the held-out squared error by more than [`MIN_GAIN`], and of a transient effect by more than
+    /// [`MIN_OF_FREE`] of what an arbitrary function of time does; adjusted for all candidates.
     pub p_adjusted: f64,
 }
 
 impl ScreenedEffect {
-    /// Whether the p-value is below [`LEVEL`] and the error decreases in every fold.
+    /// Whether it lowers the held-out error significantly and in every fold.
     pub fn is_significant(&self) -> bool {
-        self.p_adjusted < LEVEL
+        self.p_adjusted < LEVEL && self.lowers_error()
+    }
+
+    /// Its p-value where it is significant in the linearised model; NaN where full fits accept it all the same, alone or in a pair.
+    pub fn p_of_acceptance(&self) -> f64 {
+        if self.p_adjusted < LEVEL { self.p_adjusted } else { f64::NAN }
+    }
+
+    /// Whether it explains the fitted rows, and the error decreases in every fold.
+    pub fn lowers_error(&self) -> bool {
+        self.p_explained < LEVEL
             && self.evidence.wins() == self.evidence.folds.len()
             && self.evidence.gain() > MIN_GAIN
     }
@@ -244,17 +264,50 @@ pub fn screen(around: &ScoreTest, candidates: &[EffectTerm], seed: u64) -> Vec<S
         let beyond = maxima.iter().filter(|max| **max >= z).count();
         (1 + beyond) as f64 / (1 + DRAWS) as f64
     };
+    let count = evidence.len() as f64;
+    let p_of = |evidence: &CandidateScore, least: f64| {
+        (p_of_reduction(&evidence.by_block, least) * count).clamp(LEAST_P, 1.0)
+    };
+    let mut spline_gain = None;
+    let mut p_adjusted = |candidate: &EffectTerm, evidence: &CandidateScore| {
+        let p = p_of(evidence, MIN_GAIN);
+        if !candidate.is_transient() || p >= LEVEL {
+            return p;
+        }
+        let free = *spline_gain.get_or_insert_with(|| around.time_spline_gain());
+        p_of(evidence, (MIN_OF_FREE * free).max(MIN_GAIN))
+    };
     let mut screened: Vec<ScreenedEffect> = evidence
         .into_iter()
         .zip(scores)
         .map(|((candidate, evidence), z)| ScreenedEffect {
+            p_adjusted: p_adjusted(&candidate, &evidence),
             candidate,
             evidence,
-            p_adjusted: p_value(z),
+            p_explained: p_value(z),
         })
         .collect();
     screened.sort_by(|a, b| b.evidence.gain().total_cmp(&a.evidence.gain()));
     screened
+}
+
+/// p-value of no reduction of the held-out squared residual by more than the fraction `least`, from its changes by block of time;
+/// 1 where there is none.
+///
+/// With the residual e of the model with the candidate and its change m, the reduction is the sum of m^2 + 2 e m. Where m is only
+/// fitted noise, that is negative on average, and where it is the cause, e m is noise: the blocks' sums of 2 e m give the
+/// standard error. Rows that do not fit another recording are no cause either, however slow the noise is that they follow.
+fn p_of_reduction(by_block: &[BlockChange], least: f64) -> f64 {
+    let blocks: Vec<&BlockChange> = by_block.iter().filter(|block| block.without > 0.0).collect();
+    let beyond: f64 = blocks.iter().map(|block| block.reduction - least * block.without).sum();
+    let variance: f64 = blocks.iter().map(|block| (2.0 * block.product).powi(2)).sum();
+    let freedom = blocks.len() as f64 - 1.0;
+    match StudentsT::new(0.0, 1.0, freedom) {
+        Ok(distribution) if beyond > 0.0 && variance > 0.0 => {
+            distribution.sf(beyond / variance.sqrt())
+        }
+        _ => 1.0,
+    }
 }
 
 /// Random signs of the blocks, one list per resample.
@@ -272,6 +325,22 @@ mod tests {
     fn noise(count: usize) -> Vec<f64> {
         let rng = ChaCha8Rng::seed_from_u64(1);
         StandardNormal.sample_iter(rng).take(count).collect()
+    }
+
+    /// Sums of four blocks: squared residual 10, and this change.
+    fn p(reduction: f64, product: f64) -> f64 {
+        let block = BlockChange { without: 10.0, reduction, product };
+        p_of_reduction(&[block; 4], MIN_GAIN)
+    }
+
+    #[test]
+    fn p_value_is_that_of_the_sum_over_blocks_by_their_products() {
+        // 4 * (1 - 0.01) over 2 * 0.1 * sqrt(4): 9.9, with three degrees of freedom.
+        assert!((p(1.0, 0.1) - 0.001_096).abs() < 1e-6, "{}", p(1.0, 0.1));
+        // The same change within noise of ten times that product.
+        assert!((p(1.0, 1.0) - 0.197_58).abs() < 1e-4, "{}", p(1.0, 1.0));
+        // A reduction of less than 0.1 % is none, however certain.
+        assert!(p(0.009, 1e-6) == 1.0 && p(-1.0, 0.1) == 1.0);
     }
 
     #[test]

@@ -55,7 +55,7 @@ pub fn forward_selection(
     };
     loop {
         observer.stage("screening candidates", SCREENING);
-        let around = screen_last(campaign, prepared, candidates, &mut selection, options);
+        screen_last(campaign, prepared, candidates, &mut selection, options);
         if selection.steps.is_empty() {
             observer.screened(&selection.last);
             selection.similarity = Similarity::of(&selection.last);
@@ -66,7 +66,7 @@ pub fn forward_selection(
         let stage = &selection.stages[selection.stages.len() - 1];
         observer.stage("fitting candidates", FITTING);
         let mut implausible = std::mem::take(&mut selection.implausible);
-        let best = best_candidate(prepared, stage, &around, &selection, options, &mut implausible)?;
+        let best = best_candidate(prepared, stage, &selection, options, &mut implausible)?;
         selection.implausible = implausible;
         let excess = 1.0 - stage.floors().powi(-2);
         let attributed = selection.attributed.first().map_or(0.0, |(_, share)| *share);
@@ -91,14 +91,14 @@ pub fn forward_selection(
     Ok(selection)
 }
 
-/// Screens the candidates that the last model does not contain, and locates its residual; returns the score test.
-pub fn screen_last<'a>(
+/// Screens the candidates that the last model does not contain, and locates its residual.
+pub fn screen_last(
     campaign: &Campaign,
-    prepared: &'a FitSetup,
+    prepared: &FitSetup,
     candidates: &[EffectTerm],
     selection: &mut Selection,
     options: FitOptions,
-) -> ScoreTest<'a> {
+) {
     let stage = &selection.stages[selection.stages.len() - 1];
     let remaining: Vec<EffectTerm> =
         candidates.iter().filter(|c| !stage.effects.contains(c)).cloned().collect();
@@ -112,7 +112,6 @@ pub fn screen_last<'a>(
         step.form_gain = around.form_gain(&step.chosen);
     }
     selection.attributed = attributed_covariates(&columns, block_s);
-    around
 }
 
 /// Cross-validates every model like the last one, so that their errors are comparable.

@@ -34,7 +34,7 @@ pub struct AcceptedStep {
     pub gain: f64,
     /// Reduction in gauss squared.
     pub reduction: f64,
-    /// Adjusted p-value.
+    /// Adjusted p-value; NaN where it is only significant in a full fit or next to another effect.
     pub p_adjusted: f64,
     /// Typical magnitude in standard errors at this step.
     pub z_typical: f64,
@@ -51,7 +51,7 @@ impl AcceptedStep {
             shadows: Vec::new(),
             gain: model.gain(before),
             reduction: before.mean_square() - model.mean_square(),
-            p_adjusted: screened.p_adjusted,
+            p_adjusted: screened.p_of_acceptance(),
             z_typical: screened.evidence.z_typical,
             form_gain: 0.0,
         }

@@ -182,7 +182,7 @@ fn of_rest(
     let record = effect.effect().map_or_else(String::new, |effect| effect.record.to_owned());
     let (kind, reason) = if !complete {
         (VerdictKind::Inconclusive, Reason::UnexplainedResidual(unexplained.first().cloned()))
-    } else if screened.is_significant() {
+    } else if screened.lowers_error() {
         remainder(screened, selection)
     } else if let Some(reason) = insufficient(evidence) {
         (VerdictKind::Inconclusive, reason)
@@ -192,7 +192,7 @@ fn of_rest(
     };
     let record = if kind == VerdictKind::Absent { String::new() } else { record };
     // What the accepted effects and formulas explain needs no other name.
-    let implausible = selection.implausible.iter().filter(|_| screened.is_significant());
+    let implausible = selection.implausible.iter().filter(|_| screened.lowers_error());
     if let Some(fit) = implausible.into_iter().find(|of| of.effect == *effect) {
         let EffectSize { value, std_error, unit, size, .. } = &fit.size;
         return Verdict {

@@ -4,9 +4,12 @@ use super::cases::Group;
 use super::evaluate::{FormulaEvaluation, PredictedCounts};
 use super::run::Outcome;
 use crate::intervals;
+use analysis::diagnose::candidates::LEVEL;
 
 /// Minimum magnitude of a detectable effect in standard errors.
 pub const MIN_EFFECT_SIZE: f64 = 4.0;
+/// Specified rate of campaigns without an effect in which one has a p-value below [`LEVEL`].
+const MAX_SMALL_P: f64 = 0.07;
 /// Specified mean number of equivalent effects.
 const MAX_EQUIVALENT: f64 = 1.5;
 
@@ -97,7 +100,20 @@ pub fn rates(group: Group, outcomes: &[Outcome]) -> Vec<Rate> {
     let mut rates = match group {
         Group::Typical => vec![correct(0.98), only_wrong(0.02)],
         Group::Small => vec![correct(0.92), only_wrong(0.03)],
-        Group::Nothing => vec![Rate::of("an effect named", all - right, all, false, 0.01)],
+        Group::Nothing => {
+            let named = Rate::of("an effect named", all - right, all, false, 0.01);
+            let small = |(name, noise): (&'static str, &str)| {
+                let own = || outcomes.iter().filter(|outcome| outcome.noise == noise);
+                let below = own().filter(|outcome| outcome.least_p < LEVEL).count();
+                Rate::of(name, below, own().count(), false, MAX_SMALL_P)
+            };
+            let noises = [
+                ("least adjusted p below 0.05, white noise", "white"),
+                ("least adjusted p below 0.05, correlated noise", "ar1"),
+                ("least adjusted p below 0.05, random walk", "walk"),
+            ];
+            std::iter::once(named).chain(noises.map(small)).collect()
+        }
         Group::Pairs => vec![Rate::of("both correct", right, all, true, 0.97)],
         Group::Outside => {
             let is_unnamed = |outcome: &Outcome| outcome.evaluation.formulas.is_none();

@@ -25,6 +25,10 @@ pub struct Outcome {
     pub evaluation: Evaluation,
     /// Magnitude of the simulated effects in standard errors; NaN without effects.
     pub z: f64,
+    /// Noise of the campaign.
+    pub noise: &'static str,
+    /// Least adjusted p-value of an effect.
+    pub least_p: f64,
     /// Accepted effects.
     accepted: String,
     /// Held-out error relative to the noise floor, before and after.
@@ -79,9 +83,17 @@ pub fn run(case: &Case) -> Result<Outcome> {
     Ok(Outcome {
         evaluation: Evaluation { predicted, ..evaluate(case, &output) },
         z,
+        noise: case.noise,
+        least_p: least_p(&output),
         accepted: output["accepted"].to_string(),
         floors: (floors(stairs.and_then(|s| s.first())), floors(stairs.and_then(|s| s.last()))),
     })
+}
+
+/// Least adjusted p-value of an effect; 1 where none was tested.
+fn least_p(output: &Value) -> f64 {
+    let verdicts = output["verdicts"].as_array().into_iter().flatten();
+    verdicts.filter_map(|verdict| verdict["p_adjusted"].as_f64()).fold(1.0, f64::min)
 }
 
 /// Diagnosis of the recordings together with the one that a first diagnosis proposes; the first one where it proposes none.
