@@ -5,6 +5,7 @@ use crate::compare::covariates::Covariate;
 use crate::diagnose::DiscoveredFormula;
 use crate::diagnose::candidates::{MIN_GAIN, ScreenedEffect};
 use crate::diagnose::confusable_effects::{Collinearity, Similarity};
+use crate::diagnose::formulas::MIN_KEPT;
 use anyhow::Result;
 use model_export::effects::EffectTerm;
 use model_export::fit::FitOptions;
@@ -118,12 +119,13 @@ impl Selection {
         Ok(())
     }
 
-    /// After a refit: removes the last formulas and steps that do not reduce the error of all rows, or that leave one as large as
-    /// without any, and sets the gains of the others to those on all rows. An earlier step may raise the error that a later one
+    /// After a refit: removes the last formulas and steps that do not reduce the error of all rows, formulas by [`MIN_KEPT`], or that
+    /// leave one as large as without any, and sets the gains of the others to those on all rows. An earlier step may raise the error that a later one
     /// then lowers.
     pub fn confirm(&mut self, formulas: &mut Vec<DiscoveredFormula>) {
         while let [.., before, last] = self.stages.as_slice()
-            && (last.gain(before) <= MIN_GAIN || last.gain(&self.stages[0]) <= MIN_GAIN)
+            && (last.gain(before) <= if formulas.is_empty() { MIN_GAIN } else { MIN_KEPT }
+                || last.gain(&self.stages[0]) <= MIN_GAIN)
         {
             self.stages.pop();
             if formulas.pop().is_none() {

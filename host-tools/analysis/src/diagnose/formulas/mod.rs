@@ -54,10 +54,9 @@ const AT_NOISE: f64 = 1.03;
 const OPEN: f64 = 1.03;
 /// Minimum share of a formula's pattern that an accepted effect reproduces where the formula is another form of the effect.
 const REPRODUCED: f64 = 0.9;
-/// Candidates within this fraction of the least remaining squared error are equivalent; the simplest is taken.
+/// Candidates, and points of the chain, within this fraction of the least remaining squared error are equivalent; those with the fewest
+/// coefficients are taken.
 const NEAR: f64 = 0.02;
-/// Candidates with points of the chain within this fraction are ranked by the number of their coefficients.
-const NEAR_POINT: f64 = 0.01;
 /// Points of the chain within this fraction in the linearised model are fitted fully.
 const NEAR_LINEAR: f64 = 0.2;
 /// Minimum reduction of the held-out squared error.
@@ -65,7 +64,7 @@ const MIN_GAIN: f64 = 0.004;
 /// Maximum family-wise p-value.
 const MAX_P: f64 = 0.01;
 /// A formula that reduces the squared error by less is dropped at the end.
-const MIN_KEPT: f64 = 0.01;
+pub const MIN_KEPT: f64 = 0.01;
 /// Minimum fraction of the excess over the noise that all formulas explain together. Noise that wanders as slowly as a covariate
 /// is correlated with it without a cause, and signs of blocks do not show that.
 const MIN_EXPLAINED: f64 = 0.5;
@@ -682,16 +681,15 @@ impl<'a> FormulaSearch<'a> {
         let Some(least) = finalists.first().map(|(_, score)| *score) else {
             return Ok(());
         };
-        let near =
-            |limit: f64| finalists.iter().filter(move |(_, score)| *score <= (1.0 + limit) * least);
+        let near = || finalists.iter().filter(|(_, score)| *score <= (1.0 + NEAR) * least);
         let order = |a: &&(Candidate, f64), b: &&(Candidate, f64)| {
             let columns = a.0.points.len().cmp(&b.0.points.len());
             columns.then(a.1.total_cmp(&b.1))
         };
-        let Some(chosen) = near(NEAR_POINT).min_by(order) else {
+        let Some(chosen) = near().min_by(order) else {
             return Ok(());
         };
-        let others = near(NEAR).filter(|(other, _)| other.points != chosen.0.points);
+        let others = near().filter(|(other, _)| other.points != chosen.0.points);
         accepted[place].others = Some(others.map(|(other, _)| other.points.clone()).collect());
         let chosen = chosen.0.clone();
         if chosen != current {
