@@ -178,8 +178,6 @@ pub struct MagnitudeSpec {
     pub aggregation: Aggregation,
     /// Factor applied after the reduction.
     pub factor: f64,
-    /// Systematic uncertainty (one standard deviation), added to the standard error in quadrature.
-    pub resolution: f64,
     /// Typical magnitude, with its usual sign.
     pub typical: f64,
     /// Range outside which a fitted magnitude is reported as implausible.
@@ -189,7 +187,7 @@ pub struct MagnitudeSpec {
 }
 
 impl MagnitudeSpec {
-    /// The largest significant coefficient, without factor and systematic uncertainty; the other fields are
+    /// The largest significant coefficient, without factor; the other fields are
     /// unset.
     pub const DEFAULT: Self = Self {
         description: "",
@@ -197,7 +195,6 @@ impl MagnitudeSpec {
         first: 0,
         aggregation: Aggregation::Largest,
         factor: 1.0,
-        resolution: 0.0,
         typical: f64::NAN,
         plausible: (f64::NEG_INFINITY, f64::INFINITY),
         possible: (f64::NEG_INFINITY, f64::INFINITY),

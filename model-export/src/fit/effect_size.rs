@@ -66,8 +66,30 @@ fn within((value, std_error): (f64, f64), (low, high): (f64, f64)) -> bool {
 }
 
 /// Magnitudes of `effects`, in the given order; `fit` has them in the order of their stages.
+///
+/// The standard error is the larger of that by blocks of time and, of three folds and more, that of the jackknife over the folds: the
+/// first is linear at the solution and misses what differs between recordings, such as the rate of a clock.
 pub fn effect_sizes(fit: &JointFit, effects: &[EffectTerm], recordings: usize) -> Vec<EffectSize> {
-    effects.iter().map(|effect| effect_size(fit, effects, effect, recordings)).collect()
+    let folds: Vec<JointFit> = (0..fit.fold_count()).map(|fold| fit.without(fold)).collect();
+    let of = |effect: &EffectTerm| {
+        let mut size = effect_size(fit, effects, effect, recordings);
+        let others = folds.iter().map(|fold| effect_size(fold, effects, effect, recordings));
+        let same = others.filter(|other| other.component == size.component);
+        let values: Vec<f64> = same.map(|other| other.value).collect();
+        if values.len() == folds.len() {
+            size.std_error = size.std_error.max(jackknife(&values));
+        }
+        size
+    };
+    effects.iter().map(of).collect()
+}
+
+/// Standard error of an estimate from those without each fold; zero of fewer than three.
+fn jackknife(values: &[f64]) -> f64 {
+    let count = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / count;
+    let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
+    if values.len() < 3 { 0.0 } else { ((count - 1.0) / count * squares).sqrt() }
 }
 
 /// Index of the first parameter of `effect` in a fit with `effects`.
@@ -208,7 +230,7 @@ fn effect_size(
     };
     EffectSize {
         value: value * size.factor,
-        std_error: (std_error * size.factor).hypot(size.resolution),
+        std_error: std_error * size.factor.abs(),
         unit: effect.size_unit(),
         component,
         size,

@@ -89,6 +89,11 @@ impl JointFit {
         (0..count).map(fold).collect()
     }
 
+    /// Number of folds with values of their own.
+    pub fn fold_count(&self) -> usize {
+        self.sensors.iter().map(|sensor| sensor.fold_values.len()).min().unwrap_or(0)
+    }
+
     /// The same fit with the values of one fold's training rows.
     pub fn without(&self, fold: usize) -> Self {
         let mut other = self.clone();

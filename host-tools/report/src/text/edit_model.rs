@@ -84,18 +84,7 @@ fn effect_table(edit: &ModelEdit) -> String {
             remark.to_owned(),
         ]);
     }
-    let uncertain =
-        edit.model.effects.iter().zip(&edit.sizes).filter(|(_, size)| size.size.resolution > 0.0);
-    let notes = uncertain.map(|(effect, size)| {
-        terminal::paragraph(&format!(
-            "{}: with {} {} of systematic uncertainty, which its parameters below are without.",
-            effect.name, size.size.resolution, size.unit
-        ))
-    });
-    format!(
-        "Effects over all sensors ± one standard deviation\n{table}\n{}",
-        notes.collect::<String>()
-    )
+    format!("Effects over all sensors ± one standard deviation\n{table}\n")
 }
 
 /// Parameters of every effect and sensor, without initial states: those do not describe the gripper.

@@ -21,8 +21,6 @@ pub const EFFECT: Effect = Effect {
     size: MagnitudeSpec {
         description: "field after force",
         unit: "ms",
-        // Time stamps of two clocks agree to some hundredths of a millisecond at best (assumed).
-        resolution: 0.05,
         typical: 5.0,
         plausible: (-50.0, 50.0),
         possible: (-2000.0, 2000.0),

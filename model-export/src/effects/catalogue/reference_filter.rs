@@ -19,8 +19,6 @@ pub const EFFECT: Effect = Effect {
     size: MagnitudeSpec {
         description: "time constant",
         unit: "ms",
-        // Time stamps of two clocks agree to some hundredths of a millisecond at best (assumed).
-        resolution: 0.05,
         typical: 4.0,
         plausible: (0.0, 30.0),
         possible: (0.0, 2000.0),
