@@ -297,13 +297,9 @@ impl Diagnosis {
     }
 
     /// Sets the force error of each step, and from it the excess of each verdict.
-    fn set_forces(
-        &mut self,
-        forces: impl Iterator<Item = Option<ForceError>>,
-        selection: &Selection,
-    ) {
+    fn set_forces(&mut self, forces: &[Option<ForceError>], selection: &Selection) {
         for (step, force) in self.staircase.iter_mut().zip(forces) {
-            step.force = force;
+            step.force = *force;
         }
         let last = self.staircase.last().and_then(|last| last.force);
         for verdict in &mut self.verdicts {
@@ -485,6 +481,16 @@ pub fn diagnose(
         selection.refit(&prepared, options)?;
     }
     selection.confirm(&mut formulas);
+    let mut forces = Vec::new();
+    if !observer.is_stopped() {
+        observer.stage("replaying each step on the device's code", REPLAYS);
+        let fits: Vec<(&JointFit, &[EffectTerm])> =
+            selection.stages.iter().map(|stage| (&stage.fit, stage.effects.as_slice())).collect();
+        let offsets = differences.as_ref().map_or(&[][..], |found| &found.offsets);
+        let replayed = held_out_forces((campaign, offsets), &prepared, &fits, alignment, options)?;
+        forces = replayed.iter().map(|forces| forces.error).collect();
+        selection.drop_irrelevant(&mut formulas, &mut forces);
+    }
     let equivalent_formulas =
         equivalent_formulas(campaign, &prepared, &selection, options, observer)?;
     if let Some(last) = selection.stages.last() {
@@ -501,13 +507,8 @@ pub fn diagnose(
     diagnosis.higher_degree = degrees.max_by_key(|higher| higher.degree);
     diagnosis.rows = [sample.row_count(), prepared.row_count()];
     diagnosis.recordings = [sample.recording_count(), prepared.recording_count()];
-    if !observer.is_stopped() {
-        observer.stage("replaying each step on the device's code", REPLAYS);
-        let fits: Vec<(&JointFit, &[EffectTerm])> =
-            selection.stages.iter().map(|stage| (&stage.fit, stage.effects.as_slice())).collect();
-        let offsets = differences.as_ref().map_or(&[][..], |found| &found.offsets);
-        let forces = held_out_forces((campaign, offsets), &prepared, &fits, alignment, options)?;
-        diagnosis.set_forces(forces.iter().map(|forces| forces.error), &selection);
+    if !forces.is_empty() {
+        diagnosis.set_forces(&forces, &selection);
         diagnosis.origins = selection.stages.last().map_or_else(Vec::new, |last| {
             let recordings = campaign.recordings.len();
             EffectOrigin::of(&EffectModel::all_of(&last.fit, &last.effects, recordings))

@@ -1,6 +1,6 @@
 //! State of the forward selection: the fitted models and the accepted steps.
 
-use crate::compare::AT_FLOOR;
+use crate::compare::{AT_FLOOR, ForceError};
 use crate::compare::covariates::Covariate;
 use crate::diagnose::DiscoveredFormula;
 use crate::diagnose::candidates::{MIN_GAIN, ScreenedEffect};
@@ -136,6 +136,26 @@ impl Selection {
         let of_steps = self.steps.iter_mut().map(|step| &mut step.gain);
         let of_formulas = formulas.iter_mut().map(|formula| &mut formula.gain);
         of_steps.chain(of_formulas).zip(gains).for_each(|(gain, of_all_rows)| *gain = of_all_rows);
+    }
+
+    /// Removes the last formulas that lower the squared force error by less than [`MIN_KEPT`] next to others, where the error of the
+    /// field was at the floor without them. `forces` are the errors of the models.
+    pub fn drop_irrelevant(
+        &mut self,
+        formulas: &mut Vec<DiscoveredFormula>,
+        forces: &mut Vec<Option<ForceError>>,
+    ) {
+        while self.steps.len() + formulas.len() > 1
+            && !formulas.is_empty()
+            && let [.., before, _] = self.stages.as_slice()
+            && let [.., Some(without), Some(with)] = forces.as_slice()
+            && before.floors() <= AT_FLOOR
+            && with.reducible_rms_n.powi(2) > (1.0 - MIN_KEPT) * without.reducible_rms_n.powi(2)
+        {
+            self.stages.pop();
+            forces.pop();
+            formulas.pop();
+        }
     }
 
     /// The models without the step of this index, which added `removed`: `last` is the last of them, those between are fitted again.
