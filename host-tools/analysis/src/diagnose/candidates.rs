@@ -208,7 +208,7 @@ pub struct ScreenedEffect {
     /// recordings makes it small.
     pub p_explained: f64,
     /// p-value of no reduction of the held-out squared error by more than [`MIN_GAIN`], and of a transient effect by more than
-    /// [`MIN_OF_FREE`] of what an arbitrary function of time does; adjusted for all candidates.
+    /// 0.8 of what an arbitrary function of time does; adjusted for all candidates.
     pub p_adjusted: f64,
 }
 

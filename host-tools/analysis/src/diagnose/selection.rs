@@ -1,7 +1,7 @@
 //! State of the forward selection: the fitted models and the accepted steps.
 
-use crate::compare::{AT_FLOOR, ForceError};
 use crate::compare::covariates::Covariate;
+use crate::compare::{AT_FLOOR, ForceError};
 use crate::diagnose::DiscoveredFormula;
 use crate::diagnose::candidates::{MIN_GAIN, ScreenedEffect};
 use crate::diagnose::confusable_effects::{Collinearity, Similarity};

@@ -41,7 +41,6 @@ pub const EFFECT: Effect = Effect {
         typical: 1.0,
         plausible: (0.0, 20.0),
         possible: (0.0, 2000.0),
-        ..MagnitudeSpec::DEFAULT
     },
     record: "With the gripper unloaded and at a fixed opening, press against a stop with 0, half and full \
               current; then rotate the motor slowly through several revolutions.",
