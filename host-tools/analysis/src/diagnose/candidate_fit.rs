@@ -323,7 +323,7 @@ fn candidates_to_fit(screened: &[ScreenedEffect], excess: f64) -> Vec<&ScreenedE
         let others: Vec<&ScreenedEffect> = others.filter(is_new).collect();
         fitted.extend(others);
     }
-    if fitted.is_empty() {
+    if fitted.is_empty() && !screened.iter().any(ScreenedEffect::lowers_error) {
         // What resembles a parameter of the model (the Earth's field its offset, of a gripper that hardly turns) predicts no other
         // rows in the linearised model, in which every direction is free. A fit keeps the directions that its rows do not determine.
         fitted = screened.iter().filter(|s| s.p_explained < LEVEL && !within(s)).collect();
