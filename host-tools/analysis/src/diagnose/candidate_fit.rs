@@ -302,9 +302,12 @@ fn equivalent_gain(one: &ScreenedEffect, other: &ScreenedEffect, selection: &Sel
 /// Candidates to fit: the significant ones, sorted by the gain of the score test, and those that can replace the best. `excess` is
 /// the fraction of the squared error that is not noise.
 fn candidates_to_fit(screened: &[ScreenedEffect], excess: f64) -> Vec<&ScreenedEffect> {
-    let significant: Vec<&ScreenedEffect> =
-        screened.iter().filter(|s| s.is_significant()).collect();
     let within = |s: &ScreenedEffect| s.candidate.is_transient();
+    // All rows and full fits decide on effects that are too small for the sample of the linearised model; nothing decides on a
+    // transient one later.
+    let is_tried =
+        |s: &&ScreenedEffect| if within(s) { s.is_significant() } else { s.lowers_error() };
+    let significant: Vec<&ScreenedEffect> = screened.iter().filter(is_tried).collect();
     let ordinary = significant.iter().find(|s| !within(s)).map_or(0.0, |s| s.evidence.gain());
     // A transient effect must be as good as the others.
     let is_fitted = |s: &&ScreenedEffect| {
