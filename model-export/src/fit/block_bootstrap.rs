@@ -101,6 +101,14 @@ pub fn block_length_s(
     ((3.0 * longest_s).max(shortest_s).min(duration_s / MIN_BLOCKS as f64), longest_s)
 }
 
+/// Jackknife standard error of an estimate from the estimates without each part of the data.
+pub fn jackknife(values: &[f64]) -> f64 {
+    let count = values.len().max(1) as f64;
+    let mean = values.iter().sum::<f64>() / count;
+    let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
+    ((count - 1.0) / count * squares).sqrt()
+}
+
 /// Covariance of the sum of scores, autocorrelation included.
 pub fn score_covariance(blocks: &[Block]) -> DMatrix<f64> {
     let size = blocks.first().map_or(0, |block| block.score.len());
@@ -175,6 +183,12 @@ mod tests {
     /// A standard normal number from twelve uniform ones.
     fn gauss(rng: &mut ChaCha8Rng) -> f64 {
         (0..12).map(|_| rng.random::<f64>()).sum::<f64>() - 6.0
+    }
+
+    #[test]
+    fn jackknife_of_means_is_the_standard_error_of_the_mean() {
+        // Of 1, 2, 6: mean 3, variance 7, standard error sqrt(7 / 3). Means of two: 4, 3.5, 1.5.
+        assert!((jackknife(&[4.0, 3.5, 1.5]) - 1.527_525).abs() < 1e-6);
     }
 
     fn first_order(rng: &mut ChaCha8Rng, memory: f64, n: usize) -> Vec<f64> {

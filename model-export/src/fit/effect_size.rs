@@ -5,10 +5,14 @@ use std::borrow::Cow;
 use nalgebra::DVector;
 
 use crate::effects::{Aggregation, EffectTerm, MagnitudeSpec};
+use crate::fit::block_bootstrap::jackknife;
 use crate::fit::joint::{JointFit, SensorFit};
 
 /// Threshold of significance in standard errors.
 const SIGNIFICANT: f64 = 4.0;
+
+/// Minimum number of folds for a jackknife.
+const MIN_FOLDS: usize = 3;
 
 /// A single sensor is reported where its value exceeds the mean of all by this factor.
 const OUTLIER_RATIO: f64 = 3.0;
@@ -76,20 +80,12 @@ pub fn effect_sizes(fit: &JointFit, effects: &[EffectTerm], recordings: usize) -
         let others = folds.iter().map(|fold| effect_size(fold, effects, effect, recordings));
         let same = others.filter(|other| other.component == size.component);
         let values: Vec<f64> = same.map(|other| other.value).collect();
-        if values.len() == folds.len() {
+        if values.len() == folds.len() && folds.len() >= MIN_FOLDS {
             size.std_error = size.std_error.max(jackknife(&values));
         }
         size
     };
     effects.iter().map(of).collect()
-}
-
-/// Standard error of an estimate from those without each fold; zero of fewer than three.
-fn jackknife(values: &[f64]) -> f64 {
-    let count = values.len() as f64;
-    let mean = values.iter().sum::<f64>() / count;
-    let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
-    if values.len() < 3 { 0.0 } else { ((count - 1.0) / count * squares).sqrt() }
 }
 
 /// Index of the first parameter of `effect` in a fit with `effects`.

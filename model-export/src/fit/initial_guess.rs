@@ -5,6 +5,7 @@
 //! residual over all sensors is selected; a shape that spans recordings is selected by leave-one-recording-out
 //! error and stays fixed.
 
+use crate::fit::block_bootstrap::jackknife;
 use nalgebra::DMatrix;
 use rayon::prelude::*;
 
@@ -270,7 +271,9 @@ fn select_value(searches: &mut [ShapeSearch], i: usize, j: usize, tried: &[f64],
     let Some(place) = argmin(&left, None) else {
         return;
     };
-    let std_error = across.then(|| jackknife(tried, &left));
+    // Of the logarithm.
+    let logs = (0..left[place].len()).filter_map(|k| Some(tried[argmin(&left, Some(k))?].ln()));
+    let std_error = across.then(|| jackknife(&logs.collect::<Vec<f64>>()));
     for (sensor, search) in searches.iter_mut().enumerate() {
         let mut value = tried[place];
         let index = search.problem.ranges()[i].start + j;
@@ -300,17 +303,6 @@ fn argmin(left: &[Vec<f64>], without: Option<usize>) -> Option<usize> {
     };
     let sums: Vec<f64> = left.iter().map(sum).collect();
     (0..sums.len()).min_by(|a, b| sums[*a].total_cmp(&sums[*b]))
-}
-
-/// Jackknife standard error of the logarithm of the selected value over recordings.
-fn jackknife(tried: &[f64], left: &[Vec<f64>]) -> f64 {
-    let count = left.first().map_or(0, Vec::len);
-    let logs: Vec<f64> =
-        (0..count).filter_map(|k| argmin(left, Some(k)).map(|place| tried[place].ln())).collect();
-    let n = logs.len().max(1) as f64;
-    let mean = logs.iter().sum::<f64>() / n;
-    let squares: f64 = logs.iter().map(|log| (log - mean).powi(2)).sum();
-    (squares * (n - 1.0) / n).sqrt()
 }
 
 fn coefficients(problem: &SensorProblem, effect: usize) -> Vec<usize> {
