@@ -24,7 +24,7 @@ const fn expected(
     Expected { campaign, base: "cylinder", effects, covariates }
 }
 
-const CAMPAIGNS: [Expected; 12] = [
+const CAMPAIGNS: [Expected; 14] = [
     // Both flexures soften with the temperature: a drift of the sensor of 5 G/K fits, and is ten times too large.
     expected("softer-when-warm", &[], &["fx_n", "temp_c", "fz_n"]),
     // A dead zone: a hard stop stayed in the model next to the formula that explains everything.
@@ -48,7 +48,13 @@ const CAMPAIGNS: [Expected; 12] = [
     // Two formulas with nonlinear parameters; a formula that leaves coloured noise.
     expected("two-formulas-p", &[], &["fz_n"]),
     expected("right-formula-no-add", &[], &["opening_mm", "roll_rad"]),
+    // One gain: the gains of the other axes imitate a tilt of the magnet. A further formula changes the forces by less than 1 %.
+    expected("three-gains", &[], &["fz_n"]),
+    expected("three-gains-30s", &[], &["fz_n"]),
 ];
+
+/// Coefficient of the planar Hall effect in these campaigns, in percent per newton (sensor 0).
+const PLANAR_HALL: f64 = 0.0141;
 
 #[test]
 fn effects_and_formulas_of_another_simulator_are_named() {
@@ -83,6 +89,14 @@ fn check(expected: &Expected, diagnosis: &Value) {
     assert!(covariates.iter().all(is_expected), "{who}: {covariates:?}");
     for column in expected.covariates {
         assert!(covariates.iter().any(|own| own == column), "{who}: {column}, {covariates:?}");
+    }
+    if who.starts_with("three-gains") {
+        let effects: Vec<Value> = formulas.iter().flat_map(|of| list(&of["effects"])).collect();
+        let [gain] = effects.as_slice() else { panic!("{who}: {effects:?}") };
+        assert_eq!(gain["expression"], "gain_x_percent = a*fz_n", "{who}");
+        let a = &gain["sensor"][0]["parameters"]["a"];
+        // The gain follows Bz, which is not quite linear in the force.
+        assert!((a["value"].as_f64().unwrap() / PLANAR_HALL - 1.0).abs() < 0.03, "{who}: {a}");
     }
     let suggests_add = list(&diagnosis["next"])
         .iter()
