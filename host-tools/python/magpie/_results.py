@@ -169,7 +169,8 @@ class Verdict:
     gain: float
     """Reduction of the held-out squared error, as a fraction."""
     p_adjusted: float | None
-    """p-value of no reduction of the held-out squared error by more than 0.1 %, adjusted for all tested effects."""
+    """p-value of no reduction of the held-out squared error by more than 0.1 %, adjusted for all tested effects; None where
+    it was not tested, or only a full fit is significant."""
     value: float | None
     std_error: float | None
     unit: str

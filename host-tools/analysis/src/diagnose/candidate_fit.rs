@@ -299,12 +299,12 @@ fn equivalent_gain(one: &ScreenedEffect, other: &ScreenedEffect, selection: &Sel
     }
 }
 
-/// Candidates to fit: the significant ones, sorted by the gain of the score test, and those that can replace the best. `excess` is
+/// Candidates to fit: those that lower the held-out error, sorted by the gain of the score test, and those that can replace the best. `excess` is
 /// the fraction of the squared error that is not noise.
 fn candidates_to_fit(screened: &[ScreenedEffect], excess: f64) -> Vec<&ScreenedEffect> {
     let within = |s: &ScreenedEffect| s.candidate.is_transient();
-    // All rows and full fits decide on effects that are too small for the sample of the linearised model; nothing decides on a
-    // transient one later.
+    // Full fits of all rows decide on an effect that is too small for the sample. They are no test of a transient one: it is held out
+    // within recordings, where slow noise predicts its neighbours.
     let is_tried =
         |s: &&ScreenedEffect| if within(s) { s.is_significant() } else { s.lowers_error() };
     let significant: Vec<&ScreenedEffect> = screened.iter().filter(is_tried).collect();

@@ -294,9 +294,9 @@ pub fn screen(around: &ScoreTest, candidates: &[EffectTerm], seed: u64) -> Vec<S
 /// p-value of no reduction of the held-out squared residual by more than the fraction `least`, from its changes by block of time;
 /// 1 where there is none.
 ///
-/// With the residual e of the model with the candidate and its change m, the reduction is the sum of m^2 + 2 e m. Where m is only
-/// fitted noise, that is negative on average, and where it is the cause, e m is noise: the blocks' sums of 2 e m give the
-/// standard error. Rows that do not fit another recording are no cause either, however slow the noise is that they follow.
+/// With the residual e of the model with the candidate and the change m of the model, the reduction is the sum of m^2 + 2 e m. Where
+/// m is the true change, e is noise, and the sums of 2 e m over blocks give the standard error. Where m is fitted to the noise of
+/// other recordings, the reduction is negative on average, however slow the noise is.
 fn p_of_reduction(by_block: &[BlockChange], least: f64) -> f64 {
     let blocks: Vec<&BlockChange> = by_block.iter().filter(|block| block.without > 0.0).collect();
     let beyond: f64 = blocks.iter().map(|block| block.reduction - least * block.without).sum();

@@ -1077,7 +1077,7 @@ pub fn significance_note(diagnosis: &Diagnosis) -> String {
     format!(
         "{excess}Gain: reduction of the held-out squared error of the field, of an accepted step relative to the step before. p: p-value of \
          a reduction by at most {} %, by the errors of {} blocks of {:.1} s, adjusted for all candidates. Present: a lower error \
-         in every fold by a full fit of all rows, of a transient effect with p below {LEVEL}; p is - where only that fit is sure. < b of \
+         in every fold by a full fit of all rows, of a transient effect with p below {LEVEL}; p is - where only that fit is significant. < b of \
          typical: 95 % upper bound of the magnitude.{sampled}",
         100.0 * MIN_GAIN,
         diagnosis.blocks,

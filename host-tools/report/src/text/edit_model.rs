@@ -132,7 +132,7 @@ fn parameter_table(effects: &[EffectModel], sizes: &[EffectSize]) -> String {
     if is_any_impossible {
         text += "!: physically impossible by more than two standard errors: a part of another effect.\n";
     }
-    text + "?: not identifiable from these recordings.\n"
+    text + "Errors of parameters are from blocks of time alone. ?: not identifiable from these recordings.\n"
 }
 
 /// Held-out error of each axis before and after.
