@@ -93,7 +93,7 @@ fn check(expected: &Expected, diagnosis: &Value) {
     if who.starts_with("three-gains") {
         let effects: Vec<Value> = formulas.iter().flat_map(|of| list(&of["effects"])).collect();
         let [gain] = effects.as_slice() else { panic!("{who}: {effects:?}") };
-        assert_eq!(gain["expression"], "gain_x_percent = a*fz_n", "{who}");
+        assert_eq!(gain["expression"], "formula_1: gain_x_percent = a*fz_n", "{who}");
         let a = &gain["sensor"][0]["parameters"]["a"];
         // The gain follows Bz, which is not quite linear in the force.
         assert!((a["value"].as_f64().unwrap() / PLANAR_HALL - 1.0).abs() < 0.03, "{who}: {a}");
