@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 use std::io::{self, IsTerminal};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use indicatif::{
@@ -57,29 +57,47 @@ pub fn growing_bar() -> ProgressBar {
 pub struct Stages {
     bar: ProgressBar,
     start: Instant,
+    /// When the work is expected to end.
+    end: Arc<Mutex<Option<Instant>>>,
 }
 
 /// Steps of the bar.
 const BAR_STEPS: f64 = 1000.0;
+/// Share of the work from which the rest is estimated.
+const LEAST_SHARE: f64 = 0.1;
 
 impl Stages {
     /// Begins now.
     #[allow(clippy::new_without_default, reason = "it starts a clock")]
     pub fn new() -> Self {
-        let template = "{msg:<60} [{bar:20}] {elapsed}";
-        let bar = styled(ProgressBar::new(BAR_STEPS as u64), template, "");
-        Self { bar, start: Instant::now() }
+        let end: Arc<Mutex<Option<Instant>>> = Arc::default();
+        let of_bar = Arc::clone(&end);
+        // An estimate that has passed is none.
+        let until = move |_: &ProgressState, out: &mut dyn Write| {
+            let end = *of_bar.lock().unwrap_or_else(PoisonError::into_inner);
+            let left =
+                end.map_or(Duration::ZERO, |end| end.saturating_duration_since(Instant::now()));
+            if left >= Duration::from_secs(1) {
+                // Text in memory.
+                let _ = write!(out, ", about {:#} left", HumanDuration(left));
+            }
+        };
+        let template = "{msg:<60} [{bar:20}] {elapsed}{until}";
+        let bar = ProgressBar::new(BAR_STEPS as u64);
+        let style = ProgressStyle::with_template(template);
+        if let Ok(style) = style {
+            bar.set_style(style.with_key("until", until).progress_chars("=> "));
+        }
+        Self { bar: shown(bar, ""), start: Instant::now(), end }
     }
 
     /// Shows the stage that begins and the estimated share that is done.
     pub fn set(&self, stage: &str, share: f64) {
-        let elapsed_s = self.start.elapsed().as_secs_f64();
-        let left = if share > 0.0 {
-            format!(", about {:.0} s left", (elapsed_s / share - elapsed_s).max(1.0))
-        } else {
-            String::new()
-        };
-        self.bar.set_message(format!("{stage}, {:.0} % done{left}", 100.0 * share));
+        let elapsed = self.start.elapsed();
+        let left = (share >= LEAST_SHARE).then(|| elapsed.mul_f64(1.0 / share - 1.0));
+        let end = left.map(|left| Instant::now() + left);
+        *self.end.lock().unwrap_or_else(PoisonError::into_inner) = end;
+        self.bar.set_message(format!("{stage}, {:.0} % done", 100.0 * share));
         self.bar.set_position((BAR_STEPS * share) as u64);
     }
 
@@ -105,6 +123,10 @@ fn styled(bar: ProgressBar, template: &str, message: &'static str) -> ProgressBa
             });
         bar.set_style(style.progress_chars("=> "));
     }
+    shown(bar, message)
+}
+
+fn shown(bar: ProgressBar, message: &'static str) -> ProgressBar {
     if !io::stderr().is_terminal() {
         bar.set_draw_target(ProgressDrawTarget::term_like(Box::new(Lines::new())));
     }

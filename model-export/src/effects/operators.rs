@@ -1,7 +1,7 @@
 //! Operators with memory over non-uniformly sampled rows: stop operator, low pass, delay, and smoothing, which
 //! excludes the reference's noise.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{SMatrix, SVector};
 
 use crate::effects::ExcitationSeries;
 
@@ -25,21 +25,28 @@ fn local_regression(at: f64, time_s: &[f64], values: &[f64]) -> (f64, f64) {
     if half_span == 0.0 {
         return (values.iter().sum::<f64>() / values.len().max(1) as f64, 0.0);
     }
-    let fit = |terms: usize| {
-        let mut normal = DMatrix::zeros(terms, terms);
-        let mut right = DVector::zeros(terms);
-        for (t, value) in time_s.iter().zip(values) {
-            let x = (t - at) / half_span;
-            let powers = DVector::from_fn(terms, |i, _| x.powi(i as i32));
-            normal.ger(1.0, &powers, &powers, 1.0);
-            right.axpy(*value, &powers, 1.0);
-        }
-        let solution = normal.cholesky()?.solve(&right);
-        Some((solution[0], solution[1] / half_span))
-    };
-    let cubic = if time_s.len() > 4 { fit(4) } else { None };
+    let cubic =
+        if time_s.len() > 4 { polynomial::<4>((at, half_span), time_s, values) } else { None };
     let mean = (values.iter().sum::<f64>() / values.len() as f64, 0.0);
-    cubic.or_else(|| fit(2)).unwrap_or(mean)
+    cubic.or_else(|| polynomial::<2>((at, half_span), time_s, values)).unwrap_or(mean)
+}
+
+/// Value and slope at `at` of the regression polynomial with this number of terms; `half_span` scales the times.
+fn polynomial<const TERMS: usize>(
+    (at, half_span): (f64, f64),
+    time_s: &[f64],
+    values: &[f64],
+) -> Option<(f64, f64)> {
+    let mut normal = SMatrix::<f64, TERMS, TERMS>::zeros();
+    let mut right = SVector::<f64, TERMS>::zeros();
+    for (t, value) in time_s.iter().zip(values) {
+        let x = (t - at) / half_span;
+        let powers = SVector::<f64, TERMS>::from_fn(|i, _| x.powi(i as i32));
+        normal.ger(1.0, &powers, &powers, 1.0);
+        right.axpy(*value, &powers, 1.0);
+    }
+    let solution = normal.cholesky()?.solve(&right);
+    Some((solution[0], solution[1] / half_span))
 }
 
 /// Stop operator (Prandtl element) with `threshold`, normalised to -1 to 1; initial state `start`.
@@ -94,8 +101,12 @@ pub fn delayed(time_s: &[f64], values: &[f64], rates: &[f64], delay_s: f64) -> V
     if values.len() < 2 {
         return values.to_vec();
     }
-    let at = |time: f64| {
-        let after = time_s.partition_point(|t| *t < time).clamp(1, time_s.len() - 1);
+    // The times ascend.
+    let mut after = 1;
+    let mut at = |time: f64| {
+        while after < time_s.len() - 1 && time_s[after] < time {
+            after += 1;
+        }
         let (from, to) = (after - 1, after);
         let step = time_s[to] - time_s[from];
         let u = (time - time_s[from]) / step;

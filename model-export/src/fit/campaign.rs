@@ -66,7 +66,9 @@ pub struct FitSetup {
 pub const SEARCH_ROWS: usize = 600;
 /// Residual in noise floors up to which a fit with initial states is at its minimum.
 const SETTLED: f64 = 1.1;
-/// Share of the error by which a search on all rows must be better than one on a sample.
+/// Rows of each recording on which they are searched again.
+const STATE_ROWS: usize = 2400;
+/// Share of the error by which that search must be better than the one on a sample.
 const CLEARLY: f64 = 0.01;
 
 impl FitSetup {
@@ -231,27 +233,41 @@ impl FitSetup {
         options: FitOptions,
         done: impl Fn(u32) + Sync,
     ) -> Result<JointFit, FitError> {
-        let base_fits = self.base_fits()?;
         let sample = (!effects.is_empty() && !self.is_sample)
             .then(|| self.sampled_by_fold(SEARCH_ROWS))
             .filter(|sample| sample.row_count() < self.row_count());
-        let how = (split, options);
+        let near = sample.and_then(|sample| sample.fit_once(effects, options).ok());
+        self.fit_near(near.as_ref(), effects, (split, options), done)
+    }
+
+    /// The same, of many rows from the fit `near` of these effects to a sample.
+    pub fn fit_near(
+        &self,
+        near: Option<&JointFit>,
+        effects: &[EffectTerm],
+        how: (CvSplit, FitOptions),
+        done: impl Fn(u32) + Sync,
+    ) -> Result<JointFit, FitError> {
+        let base_fits = self.base_fits()?;
         let fit = |near: Option<&JointFit>, done: &(dyn Fn(u32) + Sync)| {
             joint::fit(&self.rows, &self.bases, base_fits, effects, near, how, done)
         };
-        let near = sample.and_then(|sample| sample.fit_once(effects, options).ok());
-        let of_sample = near.and_then(|near| fit(Some(&near), &done).ok());
-        // Where a sample determines too little, all rows are searched: also for the states of friction at the start of a recording,
-        // where structure is left.
+        let of_sample = near.and_then(|near| fit(Some(near), &done).ok());
+        // Where a sample determines too little, all rows are searched.
         let Some(of_sample) = of_sample else { return fit(None, &done) };
-        let rms_g = |fit: &JointFit| fit.tally().mean_square().sqrt();
+        let rms_g = of_sample.tally().mean_square().sqrt();
         let has_states = effects.iter().any(EffectTerm::has_initial_state);
-        if !has_states || rms_g(&of_sample) <= SETTLED * of_sample.tally().floor_g() {
+        if !has_states || rms_g <= SETTLED * of_sample.tally().floor_g() {
             return Ok(of_sample);
         }
-        let direct = fit(None, &|_| ())?;
-        let is_better = rms_g(&direct) < (1.0 - CLEARLY) * rms_g(&of_sample);
-        Ok(if is_better { direct } else { of_sample })
+        // The states of friction at the start of a recording may be those of another minimum: where structure is left, they are
+        // searched on more rows.
+        let denser = self.sampled(STATE_ROWS);
+        let direct = denser.fit_once(effects, how.1)?;
+        let known = denser.refit(&of_sample, effects, CvSplit::Recordings(0), how.1)?;
+        let is_better =
+            direct.fitted_mean_square() < (1.0 - CLEARLY).powi(2) * known.fitted_mean_square();
+        if is_better { fit(Some(&direct), &|_| ()) } else { Ok(of_sample) }
     }
 
     /// A fit without cross-validation.

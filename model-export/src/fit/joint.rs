@@ -105,6 +105,13 @@ impl JointFit {
         other
     }
 
+    /// Mean square over all channels on the fitted rows, in gauss squared.
+    pub fn fitted_mean_square(&self) -> f64 {
+        let scores = || self.sensors.iter().flat_map(|sensor| &sensor.scores);
+        let squares: f64 = scores().map(|score| score.fitted_rms_g.powi(2)).sum();
+        squares / scores().count().max(1) as f64
+    }
+
     /// Held-out errors over all sensors and folds.
     pub fn tally(&self) -> ErrorSums {
         self.sensors.iter().fold(ErrorSums::default(), |sum, sensor| sum.with(&sensor.tally()))

@@ -42,9 +42,9 @@ struct ForceSpread {
     noise_n: f64,
 }
 
-/// Maximum number of rows of a campaign that are fitted: half an hour at 100 Hz. The parameters are then determined far better than
+/// Maximum number of rows of a campaign that are fitted: six minutes at 100 Hz. The parameters are then determined far better than
 /// any model is right.
-pub const MAX_ROWS: usize = 180_000;
+pub const MAX_ROWS: usize = 36_000;
 
 /// Evenly spaced rows of a sample for each turning point of one axis, at least.
 const ROWS_PER_TURN: usize = 3;

@@ -18,6 +18,10 @@ const MAX_FITTED: usize = 5;
 const MAX_UNDETERMINED: usize = 3;
 /// Maximum number of candidates that are fitted in pairs.
 const MAX_IN_PAIRS: usize = 7;
+/// Rows of each recording on which all pairs are fitted.
+const PAIR_ROWS: usize = 150;
+/// The best of them, which are fitted to the rows of the selection.
+const PAIRS_ON_SAMPLE: usize = 4;
 /// Minimum gain of a fitted candidate relative to the best.
 const MIN_RELATIVE_GAIN: f64 = 0.5;
 /// Candidates within this fraction of the best gain are provisionally equivalent.
@@ -110,10 +114,10 @@ pub fn best_candidate(
 ///
 /// # Errors
 /// The model cannot be fitted.
-pub fn best_pair(
+pub fn best_pair<'s>(
     prepared: &FitSetup,
     stage: &FittedModel,
-    selection: &Selection,
+    selection: &'s Selection,
     options: FitOptions,
 ) -> Result<Option<[(AcceptedStep, FittedModel); 2]>> {
     // What the other one hides may make one of them insignificant.
@@ -121,11 +125,11 @@ pub fn best_pair(
         let improves = s.evidence.wins() == s.evidence.folds.len() && s.evidence.gain() > MIN_GAIN;
         !s.candidate.is_transient() && (improves || s.p_explained < LEVEL)
     };
-    let mut contenders: Vec<&ScreenedEffect> = selection.last.iter().filter(testable).collect();
+    let mut contenders: Vec<&'s ScreenedEffect> = selection.last.iter().filter(testable).collect();
     // The held-out error of one alone says little here: by what they explain of the fitted rows.
     contenders.sort_by(|a, b| b.evidence.explained.total_cmp(&a.evidence.explained));
     contenders.truncate(MAX_IN_PAIRS);
-    let pairs: Vec<[&ScreenedEffect; 2]> = contenders
+    let pairs: Vec<[&'s ScreenedEffect; 2]> = contenders
         .iter()
         .enumerate()
         .flat_map(|(i, one)| contenders[i + 1..].iter().map(move |other| [*one, *other]))
@@ -134,14 +138,19 @@ pub fn best_pair(
         let added = added.iter().map(|screened| screened.candidate.clone());
         stage.effects.iter().cloned().chain(added).collect()
     };
-    let fitted = |pair: &[&ScreenedEffect; 2]| {
-        FittedModel::without_validation(prepared, with(pair), options).ok()
+    let best = |pairs: Vec<[&'s ScreenedEffect; 2]>, setup: &FitSetup, count: usize| {
+        let mut fits: Vec<(f64, [&'s ScreenedEffect; 2])> = pairs
+            .into_par_iter()
+            .filter_map(|pair| {
+                let fit = FittedModel::without_validation(setup, with(&pair), options).ok()?;
+                Some((fit.fitted_mean_square(), pair))
+            })
+            .collect();
+        fits.sort_by(|a, b| a.0.total_cmp(&b.0));
+        fits.into_iter().take(count).map(|(_, pair)| pair).collect::<Vec<_>>()
     };
-    let fits: Vec<Option<FittedModel>> = pairs.par_iter().map(fitted).collect();
-    let fits = pairs.into_iter().zip(fits).filter_map(|(pair, fit)| Some((pair, fit?)));
-    let Some((pair, _)) =
-        fits.min_by(|a, b| a.1.fitted_mean_square().total_cmp(&b.1.fitted_mean_square()))
-    else {
+    let finalists = best(pairs, &prepared.sampled(PAIR_ROWS), PAIRS_ON_SAMPLE);
+    let Some(pair) = best(finalists, prepared, 1).pop() else {
         return Ok(None);
     };
     let recordings = prepared.recordings();

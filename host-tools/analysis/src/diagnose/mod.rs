@@ -68,7 +68,7 @@ pub mod verdicts;
 
 /// Fraction of the work that the comparison of the recordings takes.
 const DIFFERENCES: f64 = 0.05;
-/// Fraction of the remaining work that the last fits, to all rows, take.
+/// Fraction of the work after the selection that the fits to all rows take.
 const ALL_ROWS: f64 = 0.7;
 /// Fraction of what then remains that the replays take.
 const REPLAYS: f64 = 0.5;
@@ -454,6 +454,7 @@ pub fn diagnose(
         };
     let mut prepared = model.fit_setup(&campaign, options)?;
     let mut sample = prepared.sampled_by_fold(SEARCH_ROWS);
+    observer.select_on_sample(prepared.row_count() as f64 / sample.row_count().max(1) as f64);
     let first = FittedModel::without_validation(&sample, present.clone(), options)?;
     if is_corrected(&mut campaign, &prepared, &first) {
         prepared = model.fit_setup(&campaign, options)?;
@@ -475,7 +476,10 @@ pub fn diagnose(
         selection = select(&campaign, &sample, &prepared)?;
     }
     let campaign = &*campaign;
-    let mut formulas = discover(campaign, &sample, &testable, &mut selection, options, observer)?;
+    let (first, last) = (selection.stages.first().cloned(), selection.stages.last().cloned());
+    let (mut formulas, from_first) =
+        discover(campaign, &sample, &testable, &mut selection, options, observer)?;
+    observer.begin_rest();
     if sample.row_count() < prepared.row_count() {
         observer.stage("fitting all rows", ALL_ROWS);
         selection.refit(&prepared, options)?;
@@ -491,8 +495,18 @@ pub fn diagnose(
         forces = replayed.iter().map(|forces| forces.error).collect();
         selection.drop_irrelevant(&mut formulas, &mut forces);
     }
-    let equivalent_formulas =
-        equivalent_formulas(campaign, &prepared, &selection, options, observer)?;
+    let equivalent_formulas = match first.zip(last) {
+        Some((first, last)) => equivalent_formulas(
+            campaign,
+            (&sample, &prepared),
+            &[first, last],
+            &selection,
+            from_first,
+            options,
+            observer,
+        )?,
+        None => Vec::new(),
+    };
     if let Some(last) = selection.stages.last() {
         let recordings = campaign.recordings.len();
         formulas.iter_mut().for_each(|formula| formula.set_models(last, recordings));

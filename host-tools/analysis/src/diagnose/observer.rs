@@ -4,8 +4,10 @@ use std::cell::Cell;
 
 use crate::diagnose::candidates::ScreenedEffect;
 
-/// Share of the work that the base fit takes.
+/// Share of the selection that the base fit takes.
 const BASE: f64 = 0.1;
+/// Time of the work on all rows in times of the selection, for each row of its sample.
+const ALL_ROWS: f64 = 0.1;
 
 /// A candidate of the first screening.
 #[derive(Clone, Debug, PartialEq)]
@@ -27,7 +29,10 @@ pub struct Observer<'a> {
     on_screening: OnScreening<'a>,
     /// Whether to end with what is known.
     is_stopped: Box<dyn Fn() -> bool + 'a>,
+    /// Share of the present part of the work that is done at the end of the present stage.
     share: Cell<f64>,
+    /// Where the present part begins and ends, as shares of the whole.
+    part: Cell<[f64; 2]>,
     was_stopped: Cell<bool>,
 }
 
@@ -49,19 +54,32 @@ impl<'a> Observer<'a> {
             on_screening: Box::new(on_screening),
             is_stopped: Box::new(is_stopped),
             share: Cell::new(0.0),
+            part: Cell::new([0.0, 1.0]),
             was_stopped: Cell::new(false),
         }
     }
 
-    /// Begins a stage that takes this fraction of what remains to be done: how many stages follow is unknown.
+    /// Begins a stage that takes this fraction of what remains of the present part: how many stages follow is unknown.
     pub(super) fn stage(&self, name: &str, fraction: f64) {
-        (self.on_stage)(name, self.share.get());
-        self.share.set(self.share.get() + fraction * (1.0 - self.share.get()));
+        let ([from, to], share) = (self.part.get(), self.share.get());
+        (self.on_stage)(name, from + share * (to - from));
+        self.share.set(share + fraction * (1.0 - share));
     }
 
     /// Begins with the fit of the base.
     pub(super) fn begin(&self) {
         self.stage("fitting the model", BASE);
+    }
+
+    /// The part that has begun is a selection on a sample of one in `ratio` rows; work on all rows follows.
+    pub(super) fn select_on_sample(&self, ratio: f64) {
+        self.part.set([0.0, 1.0 / (1.0 + ALL_ROWS * ratio)]);
+    }
+
+    /// The rest of the work begins.
+    pub(super) fn begin_rest(&self) {
+        self.part.set([self.part.get()[1], 1.0]);
+        self.share.set(0.0);
     }
 
     /// Reports the significant candidates.

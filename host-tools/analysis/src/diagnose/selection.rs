@@ -113,8 +113,10 @@ impl Selection {
     /// A fit fails.
     pub fn refit(&mut self, setup: &FitSetup, options: FitOptions) -> Result<()> {
         for stage in &mut self.stages {
-            let (effects, split) = (stage.effects.clone(), stage.fit.split);
-            *stage = FittedModel::new(setup, effects, split, options)?;
+            // A model without effects has no shapes to keep.
+            let near = Some(&stage.fit).filter(|_| !stage.effects.is_empty());
+            let how = (stage.fit.split, options);
+            stage.fit = setup.fit_near(near, &stage.effects, how, |_| ())?;
         }
         Ok(())
     }
@@ -278,9 +280,7 @@ impl FittedModel {
 
     /// Mean square over all channels on the fitted rows, in gauss squared.
     pub fn fitted_mean_square(&self) -> f64 {
-        let scores = || self.fit.sensors.iter().flat_map(|sensor| &sensor.scores);
-        let squares: f64 = scores().map(|score| score.fitted_rms_g.powi(2)).sum();
-        squares / scores().count().max(1) as f64
+        self.fit.fitted_mean_square()
     }
 
     /// Cross-validated mean square over all channels, in gauss squared.

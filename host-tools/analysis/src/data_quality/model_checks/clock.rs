@@ -73,9 +73,10 @@ fn describe<'a>(residuals: &ModelResiduals<'a>, group: &[Shift]) -> Found<'a> {
 }
 
 fn shift(recording: usize, cases: &[&Case]) -> Option<Shift> {
+    let delayable: Vec<Delayable> = cases.par_iter().map(|case| Delayable::of(case)).collect();
     let excess = |ms: f64| -> Vec<f64> {
-        let above = |case: &&Case| case.left_under(&later(case, 1e-3 * ms)) / case.floor - 1.0;
-        cases.iter().map(above).collect()
+        let above = |of: &Delayable| of.case.left_under(&of.later(1e-3 * ms)) / of.case.floor - 1.0;
+        delayable.par_iter().map(above).collect()
     };
     let total = |each: &[f64]| each.iter().map(|above| above.max(0.0)).sum::<f64>();
     let at_once = excess(0.0);
@@ -128,24 +129,42 @@ fn best(of: impl Fn(f64) -> f64) -> f64 {
     found.0
 }
 
-/// Series with the forces of `delay_s` earlier, smoothed over the reference's
-/// noise at any shift: linear interpolation averages noise and would favour half a step.
-fn later(case: &Case, delay_s: f64) -> ExcitationSeries {
-    let whole = &case.part.track;
-    let shifted = |pairs: &[[f64; 2]]| -> Vec<[f64; 2]> {
-        let [x, z] = [0, 1].map(|axis| {
-            let column: Vec<f64> = pairs.iter().map(|pair| pair[axis]).collect();
-            let (_, rate) = smooth(&whole.time_s, &column);
-            delayed(&whole.time_s, &column, &rate, delay_s)
+/// A column of the forces of a whole recording, with its rate.
+struct Column {
+    values: Vec<f64>,
+    rate: Vec<f64>,
+}
+
+/// The forces of a case, to be read at other times.
+struct Delayable<'a> {
+    case: &'a Case<'a>,
+    /// Smoothed forces and their rates, of both axes.
+    columns: [[Column; 2]; 2],
+}
+
+impl<'a> Delayable<'a> {
+    fn of(case: &'a Case<'a>) -> Self {
+        let whole = &case.part.track;
+        let columns = [&whole.smooth_n, &whole.rate_n_per_s].map(|pairs| {
+            [0, 1].map(|axis| {
+                let values: Vec<f64> = pairs.iter().map(|pair| pair[axis]).collect();
+                let (_, rate) = smooth(&whole.time_s, &values);
+                Column { values, rate }
+            })
         });
-        case.rows.iter().map(|&row| [x[row], z[row]]).collect()
-    };
-    let smooth_n = shifted(&whole.smooth_n);
-    ExcitationSeries {
-        force_n: smooth_n.clone(),
-        rate_n_per_s: shifted(&whole.rate_n_per_s),
-        smooth_n,
-        ..case.track.clone()
+        Self { case, columns }
+    }
+
+    /// Series with the forces of `delay_s` earlier, smoothed over the reference's noise at any shift: linear interpolation averages
+    /// noise and would favour half a step.
+    fn later(&self, delay_s: f64) -> ExcitationSeries {
+        let time_s = &self.case.part.track.time_s;
+        let [smooth_n, rate_n_per_s] = self.columns.each_ref().map(|pair| {
+            let [x, z] = pair.each_ref().map(|of| delayed(time_s, &of.values, &of.rate, delay_s));
+            self.case.rows.iter().map(|&row| [x[row], z[row]]).collect::<Vec<_>>()
+        });
+        let force_n = smooth_n.clone();
+        ExcitationSeries { force_n, rate_n_per_s, smooth_n, ..self.case.track.clone() }
     }
 }
 

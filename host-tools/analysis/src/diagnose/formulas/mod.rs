@@ -130,9 +130,13 @@ impl Discovery {
     }
 }
 
+/// What a search from the initial model found; `None` where none was made.
+pub type FromFirst = Option<Option<Discovery>>;
+
 /// Searches formulas where the effects of a selection leave more than noise: from the initial model, where the effects may only
 /// imitate the cause, and from the last one. The result of the first replaces the effects where it is at the noise floor with
-/// fewer terms; else effects that the formulas make needless are removed. The candidates are then screened again.
+/// fewer terms; else effects that the formulas make needless are removed. The candidates are then screened again. The second value
+/// is the first of the two searches, where its result was not taken.
 ///
 /// # Errors
 /// A fit fails.
@@ -143,16 +147,18 @@ pub fn discover(
     selection: &mut Selection,
     options: FitOptions,
     observer: &Observer,
-) -> Result<Vec<DiscoveredFormula>> {
+) -> Result<(Vec<DiscoveredFormula>, FromFirst)> {
     let (Some(first), Some(last)) = (selection.stages.first(), selection.stages.last()) else {
-        return Ok(Vec::new());
+        return Ok((Vec::new(), None));
     };
     if last.floors() <= AT_FLOOR || observer.is_stopped() {
-        return Ok(Vec::new());
+        return Ok((Vec::new(), None));
     }
     observer.stage("preparing the search for formulas", STEP);
     let search = FormulaSearch::new(campaign, (setup, last), selection.block_s, options);
     let alone = search.run(first, observer)?;
+    // An interrupted search says nothing.
+    let from_first = (!observer.is_stopped()).then(|| alone.clone());
     let is_enough =
         |found: &Discovery| found.is_at_floor() && found.formulas.len() <= selection.steps.len();
     let joined = if selection.steps.is_empty() || alone.as_ref().is_some_and(is_enough) {
@@ -161,10 +167,10 @@ pub fn discover(
         search.run(last, observer)?
     };
     let (steps, found) = match (alone, joined) {
-        (None, None) => return Ok(Vec::new()),
+        (None, None) => return Ok((Vec::new(), from_first)),
         (Some(alone), None) => {
             if last.mean_square() < alone.mean_square() {
-                return Ok(Vec::new());
+                return Ok((Vec::new(), from_first));
             }
             (0, alone)
         }
@@ -187,33 +193,41 @@ pub fn discover(
     remove_needless(setup, selection, &mut formulas, options)?;
     observer.stage("screening candidates", FINAL);
     screen_last(campaign, setup, candidates, selection, options);
-    Ok(formulas)
+    Ok((formulas, from_first))
 }
 
 /// Formulas that explain as much as the effects of a selection at the noise floor, with as many terms at most, where the effects
 /// leave more than noise: a free parameter of an effect may imitate another cause. Formulas that an accepted effect can reproduce
-/// are only another form of it.
+/// are only another form of it. They are searched on the rows of `sample`, on which the selection began with `first` and ended with
+/// `last`; `from_first` is such a search, where it was made. Those found are fitted to the rows of `all`.
 ///
 /// # Errors
 /// A fit fails.
 pub fn equivalent_formulas(
     campaign: &Campaign,
-    setup: &FitSetup,
+    (sample, all): (&FitSetup, &FitSetup),
+    [first, last]: &[FittedModel; 2],
     selection: &Selection,
+    from_first: FromFirst,
     options: FitOptions,
     observer: &Observer,
 ) -> Result<Vec<DiscoveredFormula>> {
-    let (Some(first), Some(last)) = (selection.stages.first(), selection.stages.last()) else {
+    let Some(of_effects) = selection.stages.last() else {
         return Ok(Vec::new());
     };
-    let floors = last.floors();
+    let floors = of_effects.floors();
     let is_open = floors > OPEN && floors <= AT_FLOOR && !selection.steps.is_empty();
     if !is_open || observer.is_stopped() {
         return Ok(Vec::new());
     }
-    observer.stage("preparing the search for formulas", STEP);
-    let found = FormulaSearch::new(campaign, (setup, last), selection.block_s, options)
-        .run(first, observer)?;
+    let found = match from_first {
+        Some(found) => found,
+        None => {
+            observer.stage("preparing the search for formulas", STEP);
+            FormulaSearch::new(campaign, (sample, last), selection.block_s, options)
+                .run(first, observer)?
+        }
+    };
     let Some(mut found) = found.filter(|found| found.formulas.len() <= selection.steps.len())
     else {
         return Ok(Vec::new());
@@ -221,10 +235,11 @@ pub fn equivalent_formulas(
     let Some(model) = found.stages.pop() else {
         return Ok(Vec::new());
     };
-    if model.mean_square() > (1.0 + NEAR) * last.mean_square() {
+    let model = model.on(all, model.fit.split, options)?;
+    if model.mean_square() > (1.0 + NEAR) * of_effects.mean_square() {
         return Ok(Vec::new());
     }
-    let test = ScoreTest::new(setup, &first.effects, &first.fit, selection.block_s);
+    let test = ScoreTest::new(sample, &first.effects, &first.fit, selection.block_s);
     let accepted: Vec<CandidateScore> =
         selection.steps.iter().filter_map(|step| test.score(&step.chosen)).collect();
     let is_reproduced = |effect: &EffectTerm| {
