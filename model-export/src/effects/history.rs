@@ -113,7 +113,7 @@ mod tests {
     fn reading_is_converted_by_strength_and_offset() {
         // A magnet that has lost 2 % (1 %/min over a minute, after a step in no later recording) and a shift of 3 G.
         let effects = [
-            effect("demagnetisation", &[1.0]),
+            effect("demagnetisation", &[0.0, 1.0, 0.0]),
             effect("field_drift", &[0.0, 0.0, 0.0, 3.0, 0.0, 0.0, 1e-3]),
         ];
         let states = GripperState::over(&minute(), &effects).unwrap();

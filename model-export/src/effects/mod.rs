@@ -330,10 +330,13 @@ impl EffectTerm {
         self.effect().is_some_and(|effect| effect.is_transient)
     }
 
-    /// True where it acts at an instant of the campaign, which is searched.
+    /// True where it acts at an instant of the campaign, which is searched, and not by recordings.
     pub fn is_at_instant(&self) -> bool {
         let parameters = self.effect().map_or(&[][..], |effect| effect.parameters);
+        let is_by_recording =
+            |one: &EffectParameter| one.scope == ParameterScope::EachLaterRecording;
         parameters.iter().any(|parameter| parameter.kind == ParameterKind::Instant)
+            && !parameters.iter().any(is_by_recording)
     }
 
     /// True where it depends on the order of the rows: on time, on a rate, or on the past.

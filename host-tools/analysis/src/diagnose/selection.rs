@@ -121,12 +121,13 @@ impl Selection {
         Ok(())
     }
 
-    /// After a refit: removes the last formulas and steps that do not reduce the error of all rows, formulas by [`MIN_KEPT`], or that
-    /// leave one as large as without any, and sets the gains of the others to those on all rows. An earlier step may raise the error
+    /// After a refit: removes the last formulas and steps that do not reduce the error of all rows in every fold, formulas by
+    /// [`MIN_KEPT`], or that leave one as large as without any, and sets the gains of the others to those on all rows. An earlier step may raise the error
     /// that a later one then lowers.
     pub fn confirm(&mut self, formulas: &mut Vec<DiscoveredFormula>) {
         while let [.., before, last] = self.stages.as_slice()
             && (last.gain(before) <= if formulas.is_empty() { MIN_GAIN } else { MIN_KEPT }
+                || !last.improves_all_folds(before)
                 || last.gain(&self.stages[0]) <= MIN_GAIN)
         {
             self.stages.pop();

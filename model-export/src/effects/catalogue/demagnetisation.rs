@@ -9,15 +9,17 @@ pub const EFFECT: Effect = Effect {
     id: "demagnetisation",
     stage: EffectStage::Magnet,
     physics: "Heat, a stronger magnet or an impact reduce the strength of a magnet irreversibly, in contrast \
-              to the reversible temperature dependence. The loss is a step between recordings or a slow \
-              decrease within one. Stabilised magnets lose less than a percent.",
-    equation: "B_magnet (1 - d_r - e t), one d for each recording but the first",
-    regressors: "the magnet's field in each recording, and times t",
+              to the reversible temperature dependence. The loss is a step between recordings, a slow \
+              decrease within one, or a step at an impact. Stabilised magnets lose less than a percent.",
+    equation: "B_magnet (1 - d_r - e t - s step(t - t0)), one d for each recording but the first",
+    regressors: "the magnet's field in each recording, times t, and after one instant",
     needs: &[],
     plot_against: &["session_s"],
     parameters: &[
         EffectParameter::coefficient("step", "%", 0.5).each_later_recording(),
+        EffectParameter::coefficient("impact", "%", 0.5),
         EffectParameter::coefficient("slope", "%/min", 0.1),
+        EffectParameter::instant("at", "s"),
     ],
     size: MagnitudeSpec {
         description: "loss since the first recording",
@@ -46,15 +48,24 @@ pub const EFFECT: Effect = Effect {
     apply,
 };
 
+/// Duration in seconds of an impact's step: a few rows of the reference, so that a fit can move its instant.
+const IMPACT_S: f64 = 0.02;
+
 fn apply(values: &[f64], excitation: &ExcitationSeries, series: &mut StateSeries) {
-    let Some((slope, steps)) = values.split_last() else {
+    let [steps @ .., impact, slope, at_s] = values else {
         return;
     };
     let step = match excitation.recording.checked_sub(1) {
         Some(later) => steps.get(later).copied().unwrap_or(0.0),
         None => 0.0,
     };
+    // Within one recording: later ones have steps of their own.
+    let end_s = excitation.time_s.last().copied().unwrap_or(0.0);
+    let own_s = at_s - excitation.before_s;
+    let is_own = (0.0..=end_s).contains(&own_s);
     for (state, time_s) in series.states.iter_mut().zip(&excitation.time_s) {
-        state.strength *= 1.0 - 0.01 * (step + slope * time_s / 60.0);
+        let after = 0.5 + 0.5 * libm::tanh((time_s - own_s) / IMPACT_S);
+        let lost = if is_own { impact * after } else { 0.0 };
+        state.strength *= 1.0 - 0.01 * (step + slope * time_s / 60.0 + lost);
     }
 }
