@@ -88,7 +88,7 @@ pub mod status {
     pub const CHALLENGE: u8 = 1;
     /// Wrong code for the challenge, or no challenge was requested in time.
     pub const REFUSED: u8 = 2;
-    /// Arming is prevented by a fault, or the source of random numbers for challenges fails.
+    /// Prevented by a fault, by a stored key that nobody has accepted, or by the source of random numbers for challenges.
     pub const FAULTY: u8 = 3;
     /// Not allowed while armed, while another host owns the session, or while a tare or a calibration is in progress.
     pub const ARMED: u8 = 4;
@@ -247,6 +247,10 @@ impl Session {
                 reply(&message, status::NOT_PRESENT)
             }
             (Authority::OwnerOrPresence, _) if self.is_present => SessionEvent::Other(message),
+            // A session by the key that everybody knows proves nothing.
+            (Authority::OwnerOrPresence, _) if self.key == Key::NONE => {
+                reply(&message, status::NOT_PRESENT)
+            }
             (authority, _) => {
                 if self.is_of_owner(now_ms, source, &message) {
                     return self.accept(now_ms, message);

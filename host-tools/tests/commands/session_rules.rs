@@ -12,13 +12,15 @@ fn security_page_lists_the_rules() {
     let (before, rest) = page.split_once("<!-- rules -->\n").unwrap();
     let (_, after) = rest.split_once("<!-- end of rules -->").unwrap();
     let mut table =
-        "| request | by | armed | calibrating | loaded |\n| --- | --- | --- | --- | --- |\n"
+        "| request | by | armed | calibrating | loaded | doubtful key |\n| --- | --- | --- | --- | --- | --- |\n"
             .to_owned();
-    for Rule { kind, authority, while_armed, while_calibrating, while_loaded } in RULES {
-        let [armed, calibrating, loaded] = [while_armed, while_calibrating, while_loaded]
-            .map(|may| if may { "yes" } else { "no" });
-        let (name, by) = (name(kind), by(authority));
-        writeln!(table, "| {name} | {by} | {armed} | {calibrating} | {loaded} |").unwrap();
+    for rule in RULES {
+        let Rule { while_armed, while_calibrating, while_loaded, while_doubtful, .. } = rule;
+        let may = [while_armed, while_calibrating, while_loaded, while_doubtful]
+            .map(|may| if may { "yes" } else { "no" })
+            .join(" | ");
+        let (name, by) = (name(rule.kind), by(rule.authority));
+        writeln!(table, "| {name} | {by} | {may} |").unwrap();
     }
     let expected = format!("{before}<!-- rules -->\n{table}<!-- end of rules -->{after}");
     if std::env::var_os("UPDATE_README").is_some() {
