@@ -84,7 +84,7 @@ impl HostSession {
     /// A message with its authentication, to be sent in this order; `None` before a challenge.
     pub fn seal(&mut self, message: Message) -> Option<[Message; 2]> {
         let mac = self.mac.as_ref()?;
-        self.counter = self.counter.saturating_add(1);
+        self.counter = mac.following(self.counter);
         let id = frame_id(self.node, message.number());
         let tag = mac.tag(self.counter, id, message.to_bytes());
         let authentication = Authentication::new(self.counter, tag);
@@ -131,7 +131,8 @@ mod tests {
             let challenge = 0x1234_5678_9ABC & CHALLENGE_MASK;
             let answer = host.receive(&reply(operation, status::CHALLENGE, challenge));
             let mac = SessionMac::new(&KEY, DEFAULT_NODE, challenge);
-            let sealed = |counter, message: Message| {
+            let sealed = |number, message: Message| {
+                let counter = (0..number).fold(0, |counter, _| mac.following(counter));
                 let id = frame_id(DEFAULT_NODE, message.number());
                 let tag = mac.tag(counter, id, message.to_bytes());
                 [Message::Authentication(Authentication::new(counter, tag)), message]

@@ -179,6 +179,7 @@ where
             // A full queue drops the reply; the host repeats its request.
             let _ = shared.replies.try_send(reply);
         }
+        shared.due_counters.set(session.due_counters());
         publish_host_status(&session, &pending, now_ms, shared);
         update_faults(&session, &mut faults, now_ms, shared);
         report_origin(service.loaded.origin, &mut faults, shared);

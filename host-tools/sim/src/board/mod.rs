@@ -16,6 +16,7 @@
 pub mod can;
 pub mod clock;
 pub mod flash;
+pub mod forger;
 pub mod host;
 pub mod i2c;
 pub mod inertial;
