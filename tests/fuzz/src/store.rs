@@ -101,6 +101,8 @@ fn session<const PAGE_BYTES: usize>(
     let mut parameters = loaded.parameters;
     memory.cut = cut(bytes, memory.operations, OPERATIONS);
     let mut store = ParameterStore::new(&mut *memory, 0);
+    // As each start does.
+    block(store.load());
     let mut is_saved = true;
     for number in 0..=bytes.byte() % 4 {
         // What is not settled is saved as it is.

@@ -90,7 +90,8 @@ pub mod status {
     pub const DONE: u8 = 0;
     /// The reply carries the challenge.
     pub const CHALLENGE: u8 = 1;
-    /// Wrong code for the challenge, or no challenge was requested in time.
+    /// Wrong code for the challenge, or no challenge was requested in time. The reply carries the present challenge: the code
+    /// may have been another's.
     pub const REFUSED: u8 = 2;
     /// Prevented by a fault, by a stored key that nobody has accepted, or by the source of random numbers for challenges.
     pub const FAULTY: u8 = 3;
@@ -414,22 +415,19 @@ impl Session {
         let Some(line) = self.lines.get_mut(usize::from(source)) else {
             return SessionEvent::Ignored;
         };
-        match challenge.codes.check(now_ms, (source, line), node, &request) {
-            CodeCheck::Valid => {}
-            CodeCheck::Missing => {
-                challenge.op = service.op;
-                let reply = ServiceReply {
-                    op: service.op,
-                    status: status::CHALLENGE,
-                    extra: (challenge.number >> u32::BITS) as u16,
-                    detail: challenge.number as u32,
-                };
-                return SessionEvent::Reply(Message::ServiceReply(reply));
-            }
-            CodeCheck::Invalid => {
+        let check = challenge.codes.check(now_ms, (source, line), node, &request);
+        if check != CodeCheck::Valid {
+            // Also after a wrong code: it may be another's, before the first request of this host.
+            let (extra, detail) = ((challenge.number >> u32::BITS) as u16, challenge.number as u32);
+            let mut status = status::CHALLENGE;
+            if check == CodeCheck::Invalid {
+                status = status::REFUSED;
                 self.reject_unauthenticated(now_ms);
-                return reply(&request, status::REFUSED);
+            } else {
+                challenge.op = service.op;
             }
+            let reply = ServiceReply { op: service.op, status, extra, detail };
+            return SessionEvent::Reply(Message::ServiceReply(reply));
         }
         let is_armed = service.op == op::ARM;
         self.is_abandoned &= !is_armed;

@@ -380,15 +380,36 @@ fn flood_of_forged_frames_ends_no_session_and_no_command() {
     assert!(pair.gripper.is_flooded(20_000) && pair.gripper.dropped().unauthenticated > 10_000);
 }
 
+/// A forged code precedes each frame of the host.
 #[test]
-fn forged_codes_refuse_a_new_session_while_they_come() {
-    let mut pair = Pair::new();
-    for at_ms in (0..5000).step_by(250) {
-        pair.send(at_ms, forged(at_ms as u32));
-        assert_eq!(status_of(pair.send(at_ms, service(op::ARM))), Some(status::REFUSED));
+fn session_opens_among_forged_codes() {
+    for operation in [op::ARM, op::OPEN] {
+        let mut pair = Pair::new();
+        let mut messages: VecDeque<Message> = pair.host.open(operation).into_iter().collect();
+        let mut statuses = Vec::new();
+        while let Some(message) = messages.pop_front() {
+            pair.send(0, forged(77));
+            if let SessionEvent::Reply(Message::ServiceReply(reply)) = pair.send(0, message) {
+                statuses.push(reply.status);
+                messages.extend(pair.host.receive(&reply));
+            }
+        }
+        assert_eq!(statuses, [status::REFUSED, status::DONE]);
+        assert!(pair.host.is_open());
     }
-    pair.open(5000, op::ARM);
-    assert!(pair.gripper.is_armed() && pair.host.is_open());
+}
+
+/// The refusal of its own answer ends the attempt of a host with a wrong key.
+#[test]
+fn host_with_another_key_is_refused_once() {
+    let mut pair = Pair::new();
+    pair.host = HostSession::new(DEFAULT_NODE, Key([1; 16]));
+    let answer = pair.answer(0);
+    let SessionEvent::Reply(Message::ServiceReply(reply)) = pair.send_both(1, answer) else {
+        panic!("no reply");
+    };
+    assert_eq!(reply.status, status::REFUSED);
+    assert!(pair.host.receive(&reply).is_empty() && !pair.host.is_open());
 }
 
 #[test]

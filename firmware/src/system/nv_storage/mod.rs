@@ -287,7 +287,7 @@ impl<F: NorFlash> ParameterStore<F> {
         saved
     }
 
-    /// Saves all parameters, twice if two slots can be written. Takes about 4 ms, and 25 ms more for the erasure of a page
+    /// Saves all parameters, twice if two slots can be written, after a [`Self::load`]. Takes about 4 ms, and 25 ms more for the erasure of a page
     /// (data sheet).
     ///
     /// # Errors
