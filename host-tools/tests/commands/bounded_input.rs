@@ -110,7 +110,6 @@ fn devices_and_pipes_are_refused_as_files() {
             "emulate link",
             "record --virtual --start-s 0 --reference - --reference-map link -o made",
             "key write link --port line",
-            "monitor --port line --key link",
         ] {
             let message = refusal(&dir, command);
             let is_mapping_error = command.contains("bench/recording.toml");
