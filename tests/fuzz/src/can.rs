@@ -305,6 +305,9 @@ impl Verdict {
     }
 }
 
+/// Line, counter and code of an authentication, and how many requests were tried with it.
+type Expected = (u8, u32, [u8; 5], u32);
+
 /// An open session.
 struct Open {
     key: [u8; 16],
@@ -324,9 +327,8 @@ struct Reference {
     offer: Option<(u64, u64)>,
     open: Option<Open>,
     is_abandoned: bool,
-    /// Authentications with one of the next four counters, of the session and of an answer to the challenge: line, counter,
-    /// code, and how many requests were tried with it.
-    expected: [Option<(u8, u32, [u8; 5], u32)>; 2],
+    /// Authentications with one of the next four counters, of the session and of an answer to the challenge.
+    expected: [Option<Expected>; 2],
     /// Counter and code of the last other one of each line.
     codes: [Option<(u32, [u8; 5])>; 2],
     /// Codes of the others that were checked in the present ten milliseconds of each line, and when these began.
