@@ -36,7 +36,7 @@ pub fn write_output<'a>(
     signature: impl Into<FileSignature<'a>>,
 ) -> Result<(), DataError> {
     let target = check_output(path, signature)?;
-    let draft = draft_file(path, &target, bytes)?;
+    let draft = draft_file(path, &target, bytes, SHARED)?;
     draft.persist(&target).map_err(|error| unwritable(path, error.error))?;
     Ok(())
 }
@@ -46,8 +46,24 @@ pub fn write_output<'a>(
 /// # Errors
 /// Something has this path, also if it was created in the meantime; or the file system refuses.
 pub fn write_new(path: &Path, bytes: &[u8]) -> Result<(), DataError> {
+    write_new_with(path, bytes, SHARED)
+}
+
+/// As [`write_new`], for a secret: others can neither read nor write the file.
+///
+/// # Errors
+/// As [`write_new`].
+pub fn write_private(path: &Path, bytes: &[u8]) -> Result<(), DataError> {
+    write_new_with(path, bytes, PRIVATE)
+}
+
+/// Permissions on Unix, reduced by the user's mask.
+const SHARED: u32 = 0o666;
+const PRIVATE: u32 = 0o600;
+
+fn write_new_with(path: &Path, bytes: &[u8], mode: u32) -> Result<(), DataError> {
     check_absent(path)?;
-    let draft = draft_file(path, path, bytes)?;
+    let draft = draft_file(path, path, bytes, mode)?;
     draft.persist_noclobber(path).map_err(|error| match error.error.kind() {
         std::io::ErrorKind::AlreadyExists => ErrorKind::PathExists.at(Location::file(path)),
         _ => unwritable(path, error.error),
@@ -56,7 +72,12 @@ pub fn write_new(path: &Path, bytes: &[u8]) -> Result<(), DataError> {
 }
 
 /// A temporary file with this content in the folder of `target`; errors name `path`.
-fn draft_file(path: &Path, target: &Path, bytes: &[u8]) -> Result<NamedTempFile, DataError> {
+fn draft_file(
+    path: &Path,
+    target: &Path,
+    bytes: &[u8],
+    mode: u32,
+) -> Result<NamedTempFile, DataError> {
     let failed = |error| unwritable(path, error);
     let prefix = format!("{DRAFT_PREFIX}output-");
     let mut builder = tempfile::Builder::new();
@@ -64,8 +85,10 @@ fn draft_file(path: &Path, target: &Path, bytes: &[u8]) -> Result<NamedTempFile,
     #[cfg(unix)]
     {
         use std::os::unix::fs::PermissionsExt;
-        builder.permissions(std::fs::Permissions::from_mode(0o666));
+        builder.permissions(std::fs::Permissions::from_mode(mode));
     }
+    #[cfg(not(unix))]
+    let _ = mode;
     remove_abandoned(folder_of(target));
     let mut draft = loop {
         let draft = builder.tempfile_in(folder_of(target)).map_err(failed)?;
@@ -298,7 +321,7 @@ mod tests {
             fs::create_dir(path(name)).unwrap();
         }
         let live = StagingDir::new(&path("campaign"), "test").unwrap();
-        let draft = draft_file(&path("file"), &path("file"), b"").unwrap();
+        let draft = draft_file(&path("file"), &path("file"), b"", SHARED).unwrap();
         write_output(&path("model"), b"mark", "mark").unwrap();
         assert!(live.path().exists() && draft.path().exists());
         drop((live, draft));

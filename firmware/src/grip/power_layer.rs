@@ -94,18 +94,11 @@ impl GripController {
             self.apply_power_event(PowerEvent::QuickStop);
         }
         self.advance(inputs);
-        let is_busy = self.is_gripped || self.task.moves() || self.task == TaskState::Foot;
-        let has_strange_frames = is_active(bits, Fault::StrangeFrames) && !is_busy;
-        if has_strange_frames {
-            self.apply_power_event(PowerEvent::Disable);
-        }
         let is_off = matches!(self.power, PowerState::FaultReaction | PowerState::Fault);
         let has_severe_fault = strongest_reaction(bits, GripPhase::Moving, self.self_locking)
             .is_some_and(|(reaction, _)| reaction > Reaction::QuickStop);
-        let ends_session = has_strange_frames && self.power == PowerState::Armed;
         let is_unsound = is_active(bits, Fault::TablesUnsound) || inputs.is_sound != Some(true);
-        outputs.may_arm =
-            !(is_off || has_severe_fault || ends_session || is_unsound || inputs.is_calibrating);
+        outputs.may_arm = !(is_off || has_severe_fault || is_unsound || inputs.is_calibrating);
         outputs.arming = match (self.power, inputs.motor.state) {
             (PowerState::Armed, MotorState::Disarmed) => Some(ArmingRequest::Arm),
             // The shorted windings let a load on a backdrivable screw down slowly.

@@ -16,6 +16,8 @@ pub struct HostSession {
     key: Key,
     mac: Option<SessionMac>,
     counter: u64,
+    /// Challenge that was answered since the last request for a session.
+    answered: Option<u64>,
     /// Operation that opened the session, once the gripper has confirmed it.
     opened_by: Option<u8>,
 }
@@ -23,12 +25,13 @@ pub struct HostSession {
 impl HostSession {
     /// Session with the gripper of this node; not open.
     pub const fn new(node: u16, key: Key) -> Self {
-        Self { node, key, mac: None, counter: 0, opened_by: None }
+        Self { node, key, mac: None, counter: 0, answered: None, opened_by: None }
     }
 
     /// Request for a session, [`op::ARM`] or [`op::OPEN`]; before it the end of the present one, if any.
     pub fn open(&mut self, op: u8) -> Vec<Message, 3> {
         let mut messages = self.end();
+        self.answered = None;
         // It has room.
         let _ = messages.push(service(op, 0));
         messages
@@ -51,9 +54,15 @@ impl HostSession {
         if !matches!(reply.op, op::ARM | op::OPEN) {
             return Vec::new();
         }
+        let challenge = u64::from(reply.extra) << u32::BITS | u64::from(reply.detail);
+        // The refusal of this host's answer, or of another's code before its request.
+        let is_refused = reply.status == status::REFUSED;
+        if is_refused && (challenge == 0 || self.answered == Some(challenge)) {
+            return Vec::new();
+        }
         match reply.status {
-            status::CHALLENGE => {
-                let challenge = u64::from(reply.extra) << u32::BITS | u64::from(reply.detail);
+            status::CHALLENGE | status::REFUSED => {
+                self.answered = Some(challenge);
                 self.mac = Some(SessionMac::new(&self.key, self.node, challenge));
                 (self.counter, self.opened_by) = (0, None);
                 self.seal(service(reply.op, 0)).iter().flatten().copied().collect()
@@ -84,7 +93,7 @@ impl HostSession {
     /// A message with its authentication, to be sent in this order; `None` before a challenge.
     pub fn seal(&mut self, message: Message) -> Option<[Message; 2]> {
         let mac = self.mac.as_ref()?;
-        self.counter = self.counter.saturating_add(1);
+        self.counter = mac.following(self.counter);
         let id = frame_id(self.node, message.number());
         let tag = mac.tag(self.counter, id, message.to_bytes());
         let authentication = Authentication::new(self.counter, tag);
@@ -131,7 +140,8 @@ mod tests {
             let challenge = 0x1234_5678_9ABC & CHALLENGE_MASK;
             let answer = host.receive(&reply(operation, status::CHALLENGE, challenge));
             let mac = SessionMac::new(&KEY, DEFAULT_NODE, challenge);
-            let sealed = |counter, message: Message| {
+            let sealed = |number, message: Message| {
+                let counter = (0..number).fold(0, |counter, _| mac.following(counter));
                 let id = frame_id(DEFAULT_NODE, message.number());
                 let tag = mac.tag(counter, id, message.to_bytes());
                 [Message::Authentication(Authentication::new(counter, tag)), message]

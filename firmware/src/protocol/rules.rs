@@ -74,6 +74,9 @@ pub struct Rule {
     pub while_calibrating: bool,
     /// Allowed while an object is gripped or the fingers are loaded.
     pub while_loaded: bool,
+    /// Allowed while nobody has accepted the stored key
+    /// ([`ParameterOrigin::is_doubtful`](crate::system::nv_storage::ParameterOrigin::is_doubtful)).
+    pub while_doubtful: bool,
 }
 
 const fn rule(
@@ -81,7 +84,18 @@ const fn rule(
     authority: Authority,
     [while_armed, while_calibrating, while_loaded]: [bool; 3],
 ) -> Rule {
-    Rule { kind, authority, while_armed, while_calibrating, while_loaded }
+    // The others move the gripper, or change what it does.
+    let while_doubtful = matches!(
+        kind,
+        RequestKind::Stop
+            | RequestKind::Read
+            | RequestKind::ReportMotion
+            | RequestKind::OpenSession
+            | RequestKind::EndSession
+            | RequestKind::RenewSession
+            | RequestKind::WriteKey
+    );
+    Rule { kind, authority, while_armed, while_calibrating, while_loaded, while_doubtful }
 }
 
 const YES: [bool; 3] = [true; 3];
@@ -121,6 +135,8 @@ pub struct Situation {
     pub is_loaded: bool,
     /// Both fingers seem to press; their forces may be wrong.
     pub may_be_loaded: bool,
+    /// The stored key may not be the last one, and nobody has accepted it.
+    pub is_doubtful: bool,
 }
 
 impl RequestKind {
@@ -184,7 +200,9 @@ impl Rule {
             )
         );
         let is_loaded = situation.is_loaded || (situation.may_be_loaded && !is_confirmed);
-        if (situation.is_armed && !self.while_armed)
+        if situation.is_doubtful && !self.while_doubtful {
+            Some(status::FAULTY)
+        } else if (situation.is_armed && !self.while_armed)
             || (situation.is_calibrating && !self.while_calibrating)
         {
             Some(status::ARMED)
@@ -213,42 +231,47 @@ mod tests {
     }
 
     /// Requests with the columns of the table in SECURITY.md: what they must prove, and whether they are allowed while armed,
-    /// while calibrating, and with a gripped object.
+    /// while calibrating, with a gripped object, and with a doubtful key.
     #[test]
     fn requests_have_the_rules_of_the_document() {
         use Authority::{Anyone, KeyHolder, Owner, OwnerOrPresence};
         const MOVES: u16 = schema::id::COMMAND_TIMEOUT;
         const SENDS: u16 = schema::id::FORCE_RATE;
         let cases = [
-            (Message::EStop(EStop::default()), Anyone, [true; 3]),
-            (service(op::VERSION, 0), Anyone, [true; 3]),
-            (service(op::DESCRIPTION, 3), Anyone, [true; 3]),
-            (parameter(parameters::op::READ, MOVES), Anyone, [true; 3]),
-            (Message::HostAttitude(HostAttitude::default()), Anyone, [true; 3]),
-            (Message::HostAcceleration(HostAcceleration::default()), Anyone, [true; 3]),
-            (Message::CalibrationChunk(CalibrationChunk::default()), Anyone, [false, false, true]),
-            (service(op::OPEN, 0), KeyHolder, [true; 3]),
-            (service(op::ARM, 0), KeyHolder, [true; 3]),
-            (service(op::END, 0), Owner, [true; 3]),
-            (service(op::RENEW, 0), Owner, [true; 3]),
-            (Message::Command(Command::default()), Owner, [true; 3]),
-            (service(op::CLEAR_FAULTS, 0), Owner, [true; 3]),
-            (service(op::TARE, 0), Owner, [false; 3]),
-            (service(op::TARE, UNLOADED), Owner, [false; 3]),
-            (service(op::MEASURE, 0), Owner, [false; 3]),
-            (service(op::SAVE, 0), Owner, [false, false, true]),
-            (service(op::REBOOT, 0), Owner, [false, false, true]),
-            (service(op::UPLOAD, 9), Owner, [false, false, true]),
-            (service(op::FINISH_UPLOAD, 9), Owner, [false, false, true]),
-            (parameter(parameters::op::WRITE, SENDS), Owner, [true; 3]),
-            (parameter(parameters::op::WRITE, MOVES), Owner, [false, false, true]),
-            (parameter(parameters::op::WRITE, 0xFFFF), Owner, [true; 3]),
-            (service(op::WRITE_KEY, 7), OwnerOrPresence, [false, false, true]),
-            (service(op::ERASE_KEY, 0), OwnerOrPresence, [false, false, true]),
-            (Message::KeyPart(KeyPart::default()), OwnerOrPresence, [false, false, true]),
+            (Message::EStop(EStop::default()), Anyone, [true; 3], true),
+            (service(op::VERSION, 0), Anyone, [true; 3], true),
+            (service(op::DESCRIPTION, 3), Anyone, [true; 3], true),
+            (parameter(parameters::op::READ, MOVES), Anyone, [true; 3], true),
+            (Message::HostAttitude(HostAttitude::default()), Anyone, [true; 3], true),
+            (Message::HostAcceleration(HostAcceleration::default()), Anyone, [true; 3], true),
+            (
+                Message::CalibrationChunk(CalibrationChunk::default()),
+                Anyone,
+                [false, false, true],
+                false,
+            ),
+            (service(op::OPEN, 0), KeyHolder, [true; 3], true),
+            (service(op::ARM, 0), KeyHolder, [true; 3], false),
+            (service(op::END, 0), Owner, [true; 3], true),
+            (service(op::RENEW, 0), Owner, [true; 3], true),
+            (Message::Command(Command::default()), Owner, [true; 3], false),
+            (service(op::CLEAR_FAULTS, 0), Owner, [true; 3], false),
+            (service(op::TARE, 0), Owner, [false; 3], false),
+            (service(op::TARE, UNLOADED), Owner, [false; 3], false),
+            (service(op::MEASURE, 0), Owner, [false; 3], false),
+            (service(op::SAVE, 0), Owner, [false, false, true], false),
+            (service(op::REBOOT, 0), Owner, [false, false, true], false),
+            (service(op::UPLOAD, 9), Owner, [false, false, true], false),
+            (service(op::FINISH_UPLOAD, 9), Owner, [false, false, true], false),
+            (parameter(parameters::op::WRITE, SENDS), Owner, [true; 3], false),
+            (parameter(parameters::op::WRITE, MOVES), Owner, [false, false, true], false),
+            (parameter(parameters::op::WRITE, 0xFFFF), Owner, [true; 3], false),
+            (service(op::WRITE_KEY, 7), OwnerOrPresence, [false, false, true], true),
+            (service(op::ERASE_KEY, 0), OwnerOrPresence, [false, false, true], true),
+            (Message::KeyPart(KeyPart::default()), OwnerOrPresence, [false, false, true], true),
         ];
         let rest = Situation::default();
-        for (message, authority, [armed, calibrating, loaded]) in cases {
+        for (message, authority, [armed, calibrating, loaded], doubtful) in cases {
             let rule = RequestKind::of(&message).map(RequestKind::rule);
             let Some(rule) = rule else { panic!("{message:?} has no rule") };
             assert_eq!(rule.authority, authority, "{message:?}");
@@ -257,6 +280,7 @@ mod tests {
                 (Situation { is_armed: true, ..rest }, armed, status::ARMED),
                 (Situation { is_calibrating: true, ..rest }, calibrating, status::ARMED),
                 (Situation { is_loaded: true, ..rest }, loaded, status::GRIPPING),
+                (Situation { is_doubtful: true, ..rest }, doubtful, status::FAULTY),
             ] {
                 let expected = (!is_allowed).then_some(reason);
                 assert_eq!(

@@ -53,8 +53,9 @@ faults! {
         Disturbed = 105;
         /// Wrong checksum of the tables.
         TablesUnsound = 200;
-        /// Stored parameters (source 0) are unreadable, and defaults are used; or an uploaded calibration (source 1), and the
-        /// previous or the linked one is used; or the chip's option bytes (source 2) are unsuitable. Detail: the reason.
+        /// Stored parameters and key (source 0) are damaged, and defaults or those saved before are used; or an uploaded
+        /// calibration (source 1), and the previous or the linked one is used; or the chip's option bytes (source 2) are
+        /// unsuitable. Detail: the reason.
         StoreUnsound = 201;
         /// Ticks were missed. Detail: how many since boot.
         TicksMissed = 300;

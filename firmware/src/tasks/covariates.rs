@@ -216,4 +216,14 @@ mod tests {
         assert_eq!(samples.host.acceleration_at(501_000), Some([1000, 0, 0]));
         assert_eq!(samples.host.acceleration_at(700_000), None);
     }
+
+    #[test]
+    fn false_acceleration_is_at_most_66_m_s2() {
+        for (x, mm_s2) in [(i16::MAX, 65_534), (i16::MIN, -65_536)] {
+            let mut host = HostMotion::NONE;
+            let acceleration = HostAcceleration { x, ..HostAcceleration::default() };
+            assert!(host.update(&Message::HostAcceleration(acceleration), 0));
+            assert_eq!(host.acceleration_at(0), Some([mm_s2, 0, 0]));
+        }
+    }
 }

@@ -53,13 +53,16 @@ pub struct HostService<F, R, P, B> {
     pub configuration_defect: Option<u32>,
     /// A fresh random number at every call, for challenges; none if the source fails.
     pub random: R,
-    /// Whether the button is pressed, which allows to write the key.
+    /// Whether the button is pressed, which allows to write the key, and accepts a doubtful one.
     pub is_pressed: P,
     /// Resets the chip.
     pub reboot: B,
 }
 
 /// Serves hosts.
+///
+/// While the stored key is [doubtful](ParameterOrigin::is_doubtful) no host can arm, tare, measure, upload, change or save
+/// anything: a person accepts the loaded values by the button, or stores a key. Until then the store is not written.
 pub async fn host_service<F, R, P, B, C, M>(
     mut service: HostService<F, R, P, B>,
     clock: &C,
@@ -82,17 +85,7 @@ where
         // On failure the loaded values stay in use, and the next save tries again.
         let _ = service.store.save(&loaded.parameters).await;
     }
-    let is_sound = matches!(
-        loaded.origin,
-        ParameterOrigin::Stored | ParameterOrigin::Older | ParameterOrigin::Empty
-    );
-    shared.update_fault(
-        FaultReporter::HostService,
-        &mut faults,
-        (Fault::StoreUnsound, PARAMETERS),
-        !is_sound,
-        loaded.origin.code(),
-    );
+    report_origin(service.loaded.origin, &mut faults, shared);
     let defect = service.calibration.defect;
     shared.update_fault(
         FaultReporter::HostService,
@@ -124,9 +117,15 @@ where
         shared.progress.check_in(TaskId::HostService);
         let now_ms = clock.now_us() / 1000;
         let grip = shared.grip_summary.get();
-        session.set_may_arm(grip.may_arm);
+        let is_pressed = (service.is_pressed)();
+        if is_pressed && service.loaded.origin.is_doubtful() {
+            service.accept_loaded(shared).await;
+        }
+        let is_doubtful = service.loaded.origin.is_doubtful();
+        session.set_may_arm(grip.may_arm && !is_doubtful);
         session.set_is_moving(grip.is_moving);
-        session.set_is_present(session.key() == Key::NONE || (service.is_pressed)());
+        // A gripper without a key takes the first one, unless it may have lost one.
+        session.set_is_present((session.key() == Key::NONE && !is_doubtful) || is_pressed);
         session.expire(now_ms);
         let reply = match next {
             Either4::First(received) => {
@@ -151,6 +150,7 @@ where
                             is_calibrating: pending.is_some(),
                             is_loaded: grip.is_loaded,
                             may_be_loaded: grip.may_be_loaded,
+                            is_doubtful,
                         };
                         let rule = RequestKind::of(&request).map(RequestKind::rule);
                         match rule.and_then(|rule| rule.refusal(&request, &situation)) {
@@ -179,8 +179,10 @@ where
             // A full queue drops the reply; the host repeats its request.
             let _ = shared.replies.try_send(reply);
         }
+        shared.due_counters.set(session.due_counters());
         publish_host_status(&session, &pending, now_ms, shared);
         update_faults(&session, &mut faults, now_ms, shared);
+        report_origin(service.loaded.origin, &mut faults, shared);
     }
 }
 
@@ -275,7 +277,10 @@ impl<F: NorFlash, R, P, B: FnMut()> HostService<F, R, P, B> {
             // The argument is invalid.
             op::TARE | op::MEASURE => reply(status::FAILED),
             op::SAVE => match self.store.save(&shared.parameters()).await {
-                Ok(()) => reply(status::DONE),
+                Ok(()) => {
+                    self.loaded.origin = ParameterOrigin::Stored;
+                    reply(status::DONE)
+                }
                 Err(_) => reply(status::FAILED),
             },
             op::REBOOT => {
@@ -291,11 +296,21 @@ impl<F: NorFlash, R, P, B: FnMut()> HostService<F, R, P, B> {
         }
     }
 
-    /// Stores a key, which is valid at once. None: the parts are incomplete or not those of the host.
+    /// A person accepts the values in use: they are stored.
+    async fn accept_loaded<M: RawMutex>(&mut self, shared: &SharedState<M>) {
+        if self.store.save(&shared.parameters()).await.is_ok() {
+            self.loaded.origin = ParameterOrigin::Stored;
+        }
+    }
+
+    /// Stores a key, which is valid at once. None: the parts are incomplete or not those of the host. The present one is
+    /// stored already: requests that need no key do not wear the flash.
     async fn write_key(&mut self, op: u8, key: Option<Key>, session: &mut Session) -> Message {
         let request = Service { op, argument: 0 };
         let status = match key {
+            Some(key) if key == session.key() && !self.loaded.origin.is_doubtful() => status::DONE,
             Some(key) if self.store.save_key(key).await.is_ok() => {
+                self.loaded.origin = ParameterOrigin::Stored;
                 session.set_key(key);
                 status::DONE
             }
@@ -370,6 +385,16 @@ fn publish_host_status<M: RawMutex>(
         is_taring: pending.is_some_and(|request| request.op == op::TARE),
         is_unprotected: session.key() == Key::NONE,
     });
+}
+
+fn report_origin<M: RawMutex>(
+    origin: ParameterOrigin,
+    faults: &mut FaultSet,
+    shared: &SharedState<M>,
+) {
+    let is_unsound = origin.is_doubtful() || origin == ParameterOrigin::Newer;
+    let fault = (Fault::StoreUnsound, PARAMETERS);
+    shared.update_fault(FaultReporter::HostService, faults, fault, is_unsound, origin.code());
 }
 
 fn update_faults<M: RawMutex>(

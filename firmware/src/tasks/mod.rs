@@ -49,6 +49,7 @@ use crate::parameters::Parameters;
 use crate::parameters::schema::counter;
 use crate::protocol::messages::{FaultEvent, Message};
 use crate::protocol::serial::{Packet, Tick};
+use crate::protocol::session::DueCounters;
 use crate::system::crash::Crash;
 use crate::system::faults::{Event, EventQueue, Fault, FaultSet};
 use crate::system::task_watchdog::TaskProgress;
@@ -141,7 +142,9 @@ pub struct SharedState<M: RawMutex> {
     /// From [`GripLoop`] to [`transmit`]: grip status, ground contact, rejected commands.
     pub grip_messages: Channel<M, Message, 4>,
     /// From [`receive_can`] and [`receive_serial`] to [`host_service`].
-    pub rx_frames: Channel<M, RxFrame, 8>,
+    pub rx_frames: Channel<M, RxFrame, 12>,
+    /// From [`host_service`] to [`receive_can`] and [`receive_serial`]: which authentications must not be dropped.
+    pub due_counters: LatestValue<M, DueCounters>,
     /// From [`host_service`] to [`transmit`].
     pub replies: Channel<M, Message, 8>,
     /// From [`host_service`] to [`estimate`]: starts a tare.
@@ -231,6 +234,7 @@ impl<M: RawMutex> SharedState<M> {
             grip_summary: LatestValue::new(GripSummary::INITIAL),
             grip_messages: Channel::new(),
             rx_frames: Channel::new(),
+            due_counters: LatestValue::new(DueCounters::NONE),
             replies: Channel::new(),
             tare_request: Signal::new(),
             tare_result: Signal::new(),

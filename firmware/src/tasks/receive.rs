@@ -3,16 +3,17 @@
 use core::sync::atomic::Ordering;
 
 use embassy_sync::blocking_mutex::raw::RawMutex;
+use embedded_can::Frame;
 use embedded_io_async::Read;
 
 use crate::clock::{Clock, delay_us, with_timeout_us};
 use crate::config::limits::DetectionLimits;
 use crate::parameters::Parameters;
 use crate::protocol::can::{CanError, CanFrame, CanReceiver};
-use crate::protocol::messages::is_from_host;
+use crate::protocol::messages::{Authentication, is_from_host};
 use crate::protocol::rate_limiter::RateLimiter;
 use crate::protocol::serial::{Packet, PacketDecoder};
-use crate::protocol::session::is_stop;
+use crate::protocol::session::{DueCounters, is_stop};
 use crate::protocol::{CAN, SERIAL, frame_id};
 use crate::system::faults::{Fault, FaultSet};
 use crate::tasks::{FaultReporter, SharedState};
@@ -21,6 +22,8 @@ use crate::tasks::{FaultReporter, SharedState};
 const ERROR_PAUSE_US: u64 = 1000;
 /// Without traffic, the end of a flood is checked at this interval.
 const CHECK_US: u64 = 20_000;
+/// Places of the queue that only frames of an owner take: its authentication, its request, and one forged between them.
+const RESERVED: usize = 3;
 
 /// A frame of a host.
 #[derive(Clone, Copy, Debug)]
@@ -36,6 +39,8 @@ struct RxPort<'s, M: RawMutex> {
     source: u8,
     /// Separate limits for messages of hosts and for all else, which must not displace them.
     limiters: [RateLimiter; 2],
+    /// Requests that are admitted after an authentication with a counter that is due.
+    granted: u8,
     faults: FaultSet,
     shared: &'s SharedState<M>,
 }
@@ -45,6 +50,7 @@ impl<'s, M: RawMutex> RxPort<'s, M> {
         Self {
             source,
             limiters: [RateLimiter::new(limits); 2],
+            granted: 0,
             faults: FaultSet::default(),
             shared,
         }
@@ -56,18 +62,40 @@ impl<'s, M: RawMutex> RxPort<'s, M> {
             self.shared.requests.modify(|requests| requests.stop = true);
             return self.update_fault(now_us);
         }
+        let is_of_owner = self.is_of_owner(&frame);
         let [of_hosts, of_others] = &mut self.limiters;
         let limiter =
             if is_from_host((frame.identifier() & 0x1F) as u8) { of_hosts } else { of_others };
-        if limiter.admit(now_us) {
+        // A flood must not drop what its owner sends meanwhile.
+        if limiter.admit(now_us) || is_of_owner {
             let source = self.source;
-            let queued = self.shared.rx_frames.try_send(RxFrame { source, frame });
-            if queued.is_err() {
+            let has_place = is_of_owner || self.shared.rx_frames.free_capacity() > RESERVED;
+            if !has_place || self.shared.rx_frames.try_send(RxFrame { source, frame }).is_err() {
                 let overrun = &self.shared.counts.receive_overrun;
                 overrun.fetch_add(1, Ordering::Relaxed);
             }
         }
         self.update_fault(now_us);
+    }
+
+    /// Whether a frame is an authentication with a counter that is due, or one of the requests that may belong to it.
+    fn is_of_owner(&mut self, frame: &CanFrame) -> bool {
+        let number = (frame.identifier() & 0x1F) as u8;
+        if number == const { Authentication::LAYOUT.number } {
+            // Its lowest 24 bits.
+            let counter = match *frame.data() {
+                [c0, c1, c2, ..] => u32::from_le_bytes([c0, c1, c2, 0]),
+                _ => return false,
+            };
+            let is_due = self.shared.due_counters.get().contains(counter);
+            if is_due {
+                self.granted = DueCounters::REQUESTS;
+            }
+            return is_due;
+        }
+        let is_granted = self.granted > 0 && is_from_host(number);
+        self.granted = self.granted.saturating_sub(u8::from(is_granted));
+        is_granted
     }
 
     fn update_fault(&mut self, now_us: u64) {

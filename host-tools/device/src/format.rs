@@ -11,6 +11,7 @@ use firmware::protocol::TEMPERATURE_UNKNOWN;
 use firmware::protocol::messages::{FaultEvent, Power};
 use firmware::sensors::hall;
 use firmware::system::faults::Fault;
+use firmware::system::nv_storage::ParameterOrigin;
 use firmware::tasks::calibration::CalibrationDefect;
 use serde_json::{Value, json};
 use std::fmt::Debug;
@@ -343,6 +344,27 @@ const fn calibration_defect(detail: u32) -> &'static str {
     }
 }
 
+/// Why stored parameters and key are not in use, and what to do ([`ParameterOrigin`]).
+const fn parameter_defect(detail: u32) -> &'static str {
+    const NEWER: u32 = ParameterOrigin::Newer.code();
+    const CORRUPT: u32 = ParameterOrigin::Corrupt.code();
+    const PREVIOUS: u32 = ParameterOrigin::Previous.code();
+    match detail {
+        NEWER => {
+            "saved by newer firmware, defaults are in use: install that firmware, or save them again"
+        }
+        CORRUPT => {
+            "parameters and key are lost, defaults are in use and nothing moves: write the key with the button of the board \
+             pressed, or press it to accept the defaults without a key"
+        }
+        PREVIOUS => {
+            "the last save is damaged, what was saved before is in use and nothing moves: write the key, or press the button \
+             of the board to accept the parameters and key before"
+        }
+        _ => "unknown reason",
+    }
+}
+
 /// Detail of a fault; empty where there is none.
 pub fn fault_detail(fault: Fault, source: u8, detail: u32) -> String {
     match fault {
@@ -350,7 +372,7 @@ pub fn fault_detail(fault: Fault, source: u8, detail: u32) -> String {
         Fault::SensorLost | Fault::SensorFrozen => format!("{detail} ticks old"),
         Fault::Unbalanced => format!("by {:.1} N", f64::from(detail) / Force::PER_NEWTON),
         Fault::StoreUnsound if source == CALIBRATION => calibration_defect(detail).to_owned(),
-        Fault::StoreUnsound => format!("reason {detail}"),
+        Fault::StoreUnsound => parameter_defect(detail).to_owned(),
         Fault::TicksMissed => format!("{detail} since its start"),
         Fault::Crashed => format!("at {detail:#010x}"),
         Fault::Flooded | Fault::StrangeFrames => format!("{detail} dropped"),
@@ -408,7 +430,9 @@ mod tests {
         assert_eq!(fault_detail(Fault::Unbalanced, 0, 17 << 10), "by 17.0 N");
         assert_eq!(fault_source(Fault::Flooded, SERIAL), "serial line");
         assert_eq!(fault_source(Fault::StoreUnsound, OPTION_BYTES), "option bytes of the chip");
-        assert_eq!(fault_detail(Fault::StoreUnsound, 0, 2), "reason 2");
+        for (detail, remedy) in [(2, "newer firmware"), (4, "pressed"), (5, "write the key")] {
+            assert!(fault_detail(Fault::StoreUnsound, 0, detail).contains(remedy), "{detail}");
+        }
         let calibration = fault_detail(Fault::StoreUnsound, CALIBRATION, 1);
         assert!(
             calibration.contains("of another firmware: upload the model again"),

@@ -1,11 +1,12 @@
 //! File with the key that a gripper and its hosts share: 32 hexadecimal digits in one line, readable by its owner only.
 
-use std::fs::{self, OpenOptions};
-use std::io::Write;
+use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use firmware::protocol::authentication::{KEY_BYTES, Key};
+use model_export::input;
+use model_export::output::write_private;
 
 /// Environment variable with the path of the file.
 pub const VARIABLE: &str = "MAGPIE_KEY_FILE";
@@ -22,10 +23,10 @@ pub fn default_path() -> Option<PathBuf> {
 /// Reads a key.
 ///
 /// # Errors
-/// Unreadable, readable by others, or not a key.
+/// No regular file, too long, unreadable, readable by others, or not a key.
 pub fn read(path: &Path) -> Result<Key> {
     let name = path.display();
-    let text = fs::read_to_string(path).with_context(|| format!("{name}: cannot read the key"))?;
+    let text = input::read_text(path).context("cannot read the key")?;
     check_mode(path)?;
     let Some(key) = parse(text.trim()) else {
         bail!(
@@ -38,20 +39,13 @@ pub fn read(path: &Path) -> Result<Key> {
 /// Writes a new random key to a file that does not exist yet.
 ///
 /// # Errors
-/// The file exists or cannot be written.
+/// The file exists or cannot be written: it appears complete or not at all.
 pub fn create(path: &Path) -> Result<Key> {
     let mut key = Key::NONE;
     getrandom::fill(&mut key.0).context("the system has no random numbers")?;
     let digits: String = key.0.iter().map(|byte| format!("{byte:02x}")).collect();
-    let mut options = OpenOptions::new();
-    options.write(true).create_new(true);
-    #[cfg(unix)]
-    std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
-    let name = path.display();
-    let mut file = options.open(path).with_context(|| {
-        format!("{name}: cannot create the key file; an existing key is never overwritten")
-    })?;
-    writeln!(file, "{digits}").and_then(|()| file.sync_all()).with_context(|| format!("{name}"))?;
+    write_private(path, format!("{digits}\n").as_bytes())
+        .context("cannot create the key file; an existing key is never overwritten")?;
     Ok(key)
 }
 

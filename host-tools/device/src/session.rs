@@ -281,8 +281,12 @@ impl Client {
     }
 
     fn reply(&mut self, reply: &ServiceReply) -> Result<()> {
+        let was_open = self.session.is_open();
+        let answer = self.session.receive(reply);
         match (reply.op, reply.status) {
             (op::ARM | op::OPEN, status::CHALLENGE | status::DONE) => {}
+            // Refused because of another's code.
+            (op::ARM | op::OPEN, _) if !answer.is_empty() => {}
             (op::ARM | op::OPEN, status) => self.not_armed = Some(status),
             (op::COMMAND, status::REFUSED) => {
                 let refusal = Refusal::of(reply.detail);
@@ -296,8 +300,6 @@ impl Client {
         if self.requested == Some(reply.op) {
             self.requested = None;
         }
-        let was_open = self.session.is_open();
-        let answer = self.session.receive(reply);
         self.send_all(answer)?;
         if self.session.is_open() && !was_open { self.send_requested() } else { Ok(()) }
     }

@@ -2,6 +2,7 @@
 
 #[cfg(unix)]
 mod calibration;
+mod key_store;
 #[cfg(unix)]
 mod live;
 mod replay;

@@ -19,7 +19,7 @@ use sim::board::{Program, VirtualTimeBoard};
 use crate::workdir::fitted_model;
 
 /// A board with a constant load of 20 N on its first sensor.
-fn board() -> VirtualTimeBoard {
+pub fn board() -> VirtualTimeBoard {
     let built = build(&fitted_model("clean"), ModelVariant::Fitted).unwrap();
     let world = PressedWorld::new(&built.model, 1, |_| [[0.0, 20.0], [0.0; 2], [0.0; 2], [0.0; 2]]);
     let program = Program {
@@ -34,7 +34,7 @@ fn board() -> VirtualTimeBoard {
 }
 
 /// Runs board and host.
-fn run_to(board: &mut VirtualTimeBoard, host: &mut CanHost, ms: u64) {
+pub fn run_to(board: &mut VirtualTimeBoard, host: &mut CanHost, ms: u64) {
     let from_ms = board.clock.now_us().saturating_sub(FIRST_TICK_US) / 1000;
     for ms in from_ms..ms {
         board.run_until(FIRST_TICK_US + 1000 * (ms + 1));
@@ -43,7 +43,7 @@ fn run_to(board: &mut VirtualTimeBoard, host: &mut CanHost, ms: u64) {
 }
 
 /// Status of each reply to this operation since the last call.
-fn statuses(host: &mut CanHost, op: u8) -> Vec<u8> {
+pub fn statuses(host: &mut CanHost, op: u8) -> Vec<u8> {
     let replies = std::mem::take(&mut host.received.replies);
     replies.iter().filter(|(_, reply)| reply.op == op).map(|(_, reply)| reply.status).collect()
 }

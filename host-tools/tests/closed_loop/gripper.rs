@@ -1,6 +1,8 @@
 //! The whole gripper in virtual time: Hall sensors, sensor buses, force estimation, grasp and motor, commanded over
 //! CAN. Motor constants are assumed; fingertips and tables are nominal.
 
+use std::sync::atomic::Ordering;
+
 use firmware::config::constants::TICK_US;
 use firmware::grip::commands::mode;
 use firmware::grip::states::{PowerState, TaskState};
@@ -10,6 +12,8 @@ use firmware::protocol::messages::{Command, FaultEvent};
 use firmware::protocol::session::{op, status};
 use firmware::system::faults::Fault;
 use firmware::tasks::FIRST_TICK_US;
+use rayon::prelude::*;
+use sim::board::forger::Forger;
 use sim::closed_loop::grasp_rig::{contact_object, grip_command};
 use sim::closed_loop::{ClosedLoop, ClosedLoopSetup};
 use sim::drivetrain::parameters::Lead;
@@ -43,6 +47,49 @@ fn reported_n(cell: &ClosedLoop) -> f64 {
     let newtons =
         |sensor: usize| protocol::force_newtons(&cell.host.received.forces[sensor].unwrap().1).0[0];
     newtons(0) + newtons(1)
+}
+
+/// Forged frames on half of a bus of 1 Mbit/s, which has room for nine of eight bytes in a millisecond.
+const FORGED: u32 = 5;
+/// Grippers, and releases of each among forged frames.
+const GRIPPERS: u64 = 10;
+const RELEASES: u32 = 100;
+
+/// In motion, gripping, and at rest. The session is that of the beginning, and no command stays away for 100 ms.
+#[test]
+fn release_opens_among_forged_frames() {
+    // Before the parallel loop.
+    nominal_tables();
+    (0..GRIPPERS).into_par_iter().for_each(release_among_forged_frames);
+}
+
+fn release_among_forged_frames(seed: u64) {
+    let cell = &mut gripping(Lead::BOTH[seed as usize % 2]);
+    let mut forger = Forger::new(seed);
+    let mut until = |cell: &mut ClosedLoop, task| {
+        for _ in 0..4000 {
+            forger.flood(&cell.board.connections.can, FORGED);
+            cell.tick();
+            let counts = &cell.board.exchange.counts;
+            assert_eq!(counts.command_alive.load(Ordering::Relaxed), 1);
+            if cell.is_in(task) {
+                return;
+            }
+        }
+        panic!("{task:?} not reached: {}", cell.state());
+    };
+    for _ in 0..RELEASES {
+        let release =
+            Command { mode: mode::RELEASE, position: 1000, speed: 160, ..Command::default() };
+        cell.host.order(release);
+        until(cell, TaskState::Releasing);
+        until(cell, TaskState::Idle);
+        assert!(cell.gripper.borrow().rig.plant.opening_m() > 0.049);
+        cell.host.order(grip_command(SET_N));
+        until(cell, TaskState::HoldActive);
+    }
+    assert!(cell.board.exchange.is_active(Fault::StrangeFrames));
+    assert!(cell.board.exchange.counts.dropped.load(Ordering::Relaxed) > 10_000);
 }
 
 #[test]

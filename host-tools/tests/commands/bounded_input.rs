@@ -109,6 +109,7 @@ fn devices_and_pipes_are_refused_as_files() {
             "replay link bench",
             "emulate link",
             "record --virtual --start-s 0 --reference - --reference-map link -o made",
+            "key write link --port line",
         ] {
             let message = refusal(&dir, command);
             let is_mapping_error = command.contains("bench/recording.toml");
@@ -116,6 +117,28 @@ fn devices_and_pipes_are_refused_as_files() {
             assert!(is_mapping_error || message.contains(&expected), "{command}: {message}");
         }
     }
+}
+
+/// A full disk by a limit on the size of files.
+#[cfg(unix)]
+#[test]
+fn key_on_a_full_disk_leaves_no_file() {
+    let dir = WorkDir::empty();
+    let magpie = dir.command("key new key.txt");
+    let limited = std::process::Command::new("sh")
+        .args(["-c", "trap '' XFSZ; ulimit -f 0; exec \"$0\" \"$@\""])
+        .arg(magpie.get_program())
+        .args(magpie.get_args())
+        .current_dir(dir.path(""))
+        .output()
+        .unwrap();
+    let message = text(&limited.stderr);
+    assert_eq!(limited.status.code(), Some(1), "{message}");
+    assert_eq!(message.lines().count(), 1, "{message}");
+    assert!(!dir.path("key.txt").exists() && drafts(&dir).is_empty(), "{message}");
+    dir.stdout("key new key.txt");
+    assert_eq!(dir.read("key.txt").trim().len(), 32);
+    assert!(refusal(&dir, "key new key.txt").contains("never overwritten"));
 }
 
 #[test]

@@ -12,13 +12,15 @@ fn security_page_lists_the_rules() {
     let (before, rest) = page.split_once("<!-- rules -->\n").unwrap();
     let (_, after) = rest.split_once("<!-- end of rules -->").unwrap();
     let mut table =
-        "| request | by | armed | calibrating | loaded |\n| --- | --- | --- | --- | --- |\n"
+        "| request | by | armed | calibrating | loaded | doubtful key |\n| --- | --- | --- | --- | --- | --- |\n"
             .to_owned();
-    for Rule { kind, authority, while_armed, while_calibrating, while_loaded } in RULES {
-        let [armed, calibrating, loaded] = [while_armed, while_calibrating, while_loaded]
-            .map(|may| if may { "yes" } else { "no" });
-        let (name, by) = (name(kind), by(authority));
-        writeln!(table, "| {name} | {by} | {armed} | {calibrating} | {loaded} |").unwrap();
+    for rule in RULES {
+        let Rule { while_armed, while_calibrating, while_loaded, while_doubtful, .. } = rule;
+        let may = [while_armed, while_calibrating, while_loaded, while_doubtful]
+            .map(|may| if may { "yes" } else { "no" })
+            .join(" | ");
+        let (name, by) = (name(rule.kind), by(rule.authority));
+        writeln!(table, "| {name} | {by} | {may} |").unwrap();
     }
     let expected = format!("{before}<!-- rules -->\n{table}<!-- end of rules -->{after}");
     if std::env::var_os("UPDATE_README").is_some() {
@@ -28,6 +30,49 @@ fn security_page_lists_the_rules() {
         page == expected || std::env::var_os("UPDATE_README").is_some(),
         "run this test with UPDATE_README=1"
     );
+}
+
+/// Each property of the page has a test: a function, a trial of the emulated chip, or a scenario.
+#[test]
+fn security_page_names_existing_tests() {
+    let root = std::path::Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/.."));
+    let mut sources = String::new();
+    for folder in
+        ["firmware/src/protocol", "firmware/src/system", "firmware/src/tasks", "host-tools/tests"]
+    {
+        append_sources(&root.join(folder), &mut sources);
+    }
+    let page = std::fs::read_to_string(root.join("firmware/SECURITY.md")).unwrap();
+    let is_heading = |line: &&str| line.ends_with(" | test |");
+    let rows =
+        page.split("\n\n").filter(|part| part.lines().next().as_ref().is_some_and(is_heading));
+    let mut count = 0;
+    for row in rows.flat_map(|table| table.lines().skip(2)) {
+        let tests = row.trim_end_matches('|').rsplit('|').next().unwrap();
+        let names = tests.split('`').skip(1).step_by(2).filter(|name| !name.ends_with(".rs"));
+        let found = names.clone().map(|name| name.rsplit("::").next().unwrap()).map(|name| {
+            let is_scenario = root.join(format!("tests/scenarios/{name}.toml")).exists();
+            let is_test = sources.contains(&format!("fn {name}("));
+            assert!(
+                is_scenario || is_test || sources.contains(&format!("(\"{name}\", ")),
+                "{name}"
+            );
+        });
+        assert!(found.count() > 0, "{row}");
+        count += 1;
+    }
+    assert!(count > 25, "{count}");
+}
+
+fn append_sources(folder: &std::path::Path, sources: &mut String) {
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            append_sources(&path, sources);
+        } else if path.extension().is_some_and(|extension| extension == "rs") {
+            sources.push_str(&std::fs::read_to_string(path).unwrap());
+        }
+    }
 }
 
 const fn by(authority: Authority) -> &'static str {

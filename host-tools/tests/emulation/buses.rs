@@ -10,12 +10,13 @@ use firmware::protocol::{DEFAULT_NODE, frame_id};
 use firmware::system::faults::Fault;
 use libtest_mimic::{Failed, Trial};
 use sim::board::SimulatedBoard;
+use sim::board::forger::Forger;
 use sim::closed_loop::emulated_board::{ChipConditions, EmulatedBoard};
 
 use crate::Effort;
 use crate::boards::{LOAD_WITHOUT_CACHES, at_rest, board, image, overload, pressed, violations};
 use crate::images::Variant;
-use crate::stops::{FORGED, Forger};
+use crate::stops::FORGED;
 
 /// Frames of other nodes in a millisecond.
 const FOREIGN: u64 = 8;

@@ -1,23 +1,20 @@
 //! What a host can rely on: release after a lost sensor, stop frames that stay in effect and pass a flood, also one of forged
 //! frames, calibrations that end; and option bytes of the chip that do not suit.
 
-use std::cell::RefCell;
-
 use embedded_can::{Frame, StandardId};
 use emulator::peripherals::flash::OPTIONS_AS_SHIPPED;
 use firmware::grip::commands::mode;
 use firmware::grip::states::{PowerState, TASK_CODE, TaskState};
 use firmware::motor::calibration::{CalibrationFailure, CalibrationKind};
+use firmware::protocol::ESTOP_ALL_ID;
 use firmware::protocol::can::CanFrame;
-use firmware::protocol::messages::{Authentication, Command, Message};
+use firmware::protocol::messages::{Command, FaultEvent};
 use firmware::protocol::session::{op, status};
-use firmware::protocol::{DEFAULT_NODE, ESTOP_ALL_ID, frame_id};
 use firmware::system::faults::{Event, Fault};
 use libtest_mimic::{Failed, Trial};
 use rand::RngExt;
-use rand_chacha::ChaCha8Rng;
 use sim::board::SimulatedBoard;
-use sim::board::can::CanBus;
+use sim::board::forger::Forger;
 use sim::closed_loop::grasp_rig::contact_object;
 use sim::faults::injection::InjectedFault;
 use sim::random::{Purpose, stream};
@@ -35,6 +32,8 @@ const STOP_MS: u32 = 15;
 const FLOOD: u32 = 8;
 /// Forged frames of eight bytes in a millisecond: they take at most 95 % of a bus of 1 Mbit/s.
 pub const FORGED: u32 = 7;
+/// Half of them, rounded up.
+const FORGED_HALF: u32 = 4;
 /// Stops in a flood of forged frames: usually, and in an acceptance run.
 const STOPS: [u64; 2] = [6, 1000];
 
@@ -45,11 +44,12 @@ pub fn trials(effort: Effort) -> Vec<Trial> {
     let forged = Trial::test("stops_either_stop_passes_forged_frames", move || {
         stops_in_forged_frames(stops)
     });
-    let tests: [(&str, Test); 8] = [
+    let tests: [(&str, Test); 9] = [
         ("stops_release_opens_after_sensor_unplugged", || release_without(&[1])),
         ("stops_release_opens_after_all_sensors_unplugged", || release_without(&[0, 1, 2, 3])),
         ("stops_stop_of_all_stays_until_cleared_at_rest", stop_of_all_is_latched),
         ("stops_own_stop_passes_a_flood", stop_in_flood),
+        ("release_opens_among_forged_frames", release_in_forged_frames),
         ("stops_calibration_ends_on_sensor_fault", || calibration_ends(CalibrationFailure::Fault)),
         ("stops_calibration_ends_on_stop_frame", || calibration_ends(CalibrationFailure::Stopped)),
         ("option_bytes_that_suit_report_no_fault", suitable_options),
@@ -160,46 +160,8 @@ fn stop_in_flood() -> Result<(), Failed> {
     Ok(())
 }
 
-/// A host without the key: authentications with counters that follow on each other and random codes, each before a
-/// command that would open the fingers at full speed.
-pub struct Forger {
-    rng: ChaCha8Rng,
-    counter: u32,
-    is_command: bool,
-}
-
-impl Forger {
-    pub fn new(seed: u64) -> Self {
-        let rng = stream(seed, Purpose::FaultInjection, 0);
-        Self { rng, counter: 0, is_command: false }
-    }
-
-    /// Puts frames on the bus.
-    pub fn flood(&mut self, bus: &RefCell<CanBus>, frames: u32) {
-        for _ in 0..frames {
-            let message = if self.is_command {
-                Message::Command(Command {
-                    mode: mode::MOVE,
-                    position: 1600,
-                    speed: 232,
-                    ..Command::default()
-                })
-            } else {
-                self.counter = (self.counter + 1) & 0xFF_FFFF;
-                let (counter, tag_low, tag_high) =
-                    (self.counter, self.rng.random(), self.rng.random());
-                Message::Authentication(Authentication { counter, tag_low, tag_high })
-            };
-            self.is_command = !self.is_command;
-            let id = frame_id(DEFAULT_NODE, message.number());
-            let frame = CanFrame::from_bytes(id, message.to_bytes());
-            bus.borrow_mut().put(frame);
-        }
-    }
-}
-
-/// The gripper moves to and fro; in each motion forged frames begin, and a stop follows at a random time before the host,
-/// whose own codes are no longer checked, counts as silent. The two stops alternate.
+/// The gripper moves to and fro; in each motion forged frames begin, and a stop follows at a random time. The two stops
+/// alternate.
 fn stops_in_forged_frames(stops: u64) -> Result<(), Failed> {
     let mut cell = homed()?;
     let mut rng = stream(1, Purpose::FaultInjection, 1);
@@ -209,7 +171,6 @@ fn stops_in_forged_frames(stops: u64) -> Result<(), Failed> {
     for number in 0..stops {
         let target_mm = if opening_mm(&cell) > 40.0 { 5.0 } else { 75.0 };
         let position = (20.0 * target_mm) as u16;
-        // So many strange frames end the session of a gripper at rest.
         if !cell.is_in(TaskState::Idle) {
             assert!(
                 cell.enable(),
@@ -238,8 +199,8 @@ fn stops_in_forged_frames(stops: u64) -> Result<(), Failed> {
         }
         assert!(speed_mm_s(&cell).abs() < 0.5, "{number}: {}", speed_mm_s(&cell));
         latencies_ms.push(latency_ms.unwrap_or(u32::MAX));
-        // The stop is cleared at rest; no session opens within a second of so many strange frames.
-        cell.run(1.1);
+        // The stop is cleared at rest.
+        cell.run(0.3);
         cell.host.service(op::CLEAR_FAULTS, 0);
         cell.run(0.1);
     }
@@ -249,6 +210,31 @@ fn stops_in_forged_frames(stops: u64) -> Result<(), Failed> {
         "{within} of {stops} stops decelerate within {STOP_MS} ms, the last after {max_ms:?} ms"
     );
     assert_eq!(within as u64, stops, "{latencies_ms:?}");
+    assert_eq!(cell.board.chip.resets, []);
+    Ok(())
+}
+
+/// Half of the bus is forged, from the grip to the end: the host is alive all the time, and its session stays.
+fn release_in_forged_frames() -> Result<(), Failed> {
+    let mut cell = holding()?;
+    let mut forger = Forger::new(3);
+    let mut forged_tick = |cell: &mut Cell| {
+        forger.flood(&cell.board.connections.can, FORGED_HALF);
+        cell.tick();
+        let alive = cell.host.received.heartbeat.as_ref().map(|(_, beat)| beat.command_alive);
+        assert_eq!(alive, Some(true), "{}", cell.state());
+    };
+    (0..1500).for_each(|_| forged_tick(&mut cell));
+    assert!(cell.is_in(TaskState::HoldActive), "{}", cell.state());
+    let from_mm = opening_mm(&cell);
+    let release = Command { mode: mode::RELEASE, position: 1200, speed: 160, ..Command::default() };
+    cell.host.order(release);
+    (0..2500).for_each(|_| forged_tick(&mut cell));
+    println!("opened by {:.2} mm", opening_mm(&cell) - from_mm);
+    assert!(opening_mm(&cell) - from_mm >= OPENS_MM, "{}", cell.state());
+    assert!(cell.is_in(TaskState::Idle), "{}", cell.state());
+    let strange = |(_, event): &(u64, FaultEvent)| event.code == Fault::StrangeFrames as u16;
+    assert!(cell.host.received.faults.iter().any(strange));
     assert_eq!(cell.board.chip.resets, []);
     Ok(())
 }

@@ -25,8 +25,8 @@ const KNOWN_SESSIONS: usize = 10;
 const KNOWN_COMMANDS: usize = 200;
 /// Random frames in a millisecond: the rate of a full bus.
 const PER_MS: u64 = 8;
-/// Time between two crafted requests in ms: the gripper checks four codes in 10 ms, and one of them is the honest host's.
-const CRAFT_MS: u64 = 4;
+/// Time between two crafted requests in ms: the gripper checks two codes in 10 ms beside those of its owner's counters.
+const CRAFT_MS: u64 = 5;
 /// Period of the honest host's commands in ms.
 const COMMAND_MS: u64 = 50;
 /// Line of both hosts.
@@ -226,10 +226,10 @@ pub fn evaluate(options: &Options) -> Result<Section> {
             };
             let rejected = bus.gripper.dropped().unauthenticated - checked;
             let honest = bus.commands;
-            // Without accepted commands of the owner nothing would be known about the codes. A flood uses up the codes that
-            // are checked, and denies the owner some commands.
-            let are_complete = honest.accepted == honest.sent || kind == "random frames";
-            is_met &= accepted == 0 && honest.accepted > 0 && are_complete;
+            // A guessed counter may be the one that is due: at most one in 8192 of the authentications, 4 in a millisecond,
+            // between two commands.
+            let least = if kind == "random frames" { honest.sent * 95 / 100 } else { honest.sent };
+            is_met &= accepted == 0 && honest.sent > 0 && honest.accepted >= least;
             rows.push([
                 seed.to_string(),
                 kind.to_owned(),
@@ -248,8 +248,8 @@ pub fn evaluate(options: &Options) -> Result<Section> {
             "A host without the key knows the whole traffic of {KNOWN_SESSIONS} sessions and of the present one, which \
              another host keeps open. Crafted requests, each with a code: replayed, with a counter that is due, with changed \
              content, as sums of known ones, for other requests, guessed. Random frames are authentications before commands, services or any bytes with the node's identifiers, and \
-             come {PER_MS} in a millisecond; the gripper checks at most four codes in 10 ms, so that such a flood denies the \
-             owner some commands. Specified: none is accepted; among crafted requests all commands of the owner are."
+             come {PER_MS} in a millisecond, as on a full bus. Specified: none is accepted; all commands of the owner are among \
+             crafted requests, and 95 % among random frames."
         ),
         tables: markdown_table(
             [

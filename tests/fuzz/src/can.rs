@@ -30,7 +30,8 @@ const MESSAGES: u16 = 0x17;
 const CAN: u8 = 0;
 const SERIAL: u8 = 1;
 /// Milliseconds between two frames: both sides of every limit.
-const WAITS: [u64; 16] = [0, 0, 0, 1, 2, 5, 20, 50, 100, 101, 500, 501, 1000, 1001, 10_000, 10_001];
+const WAITS: [u64; 16] =
+    [0, 0, 0, 1, 2, 5, 20, 50, 100, 101, 1000, 1001, 2000, 2001, 10_000, 10_001];
 /// Longest data of a frame, were it one of CAN FD.
 const LONGEST: usize = 64;
 /// The key of gripper and honest hosts, and one that is guessed.
@@ -188,7 +189,9 @@ fn frames(kind: u8, bytes: &mut Bytes, reference: &Reference) -> Vec<(u16, Vec<u
         // A counter that was used already.
         1..4 => last.saturating_sub(u64::from(choice - 1)),
         4..8 => last + (u64::from(choice) << 20),
-        _ => last + 1 + u64::from(choice & 1),
+        8..16 => last + 1 + u64::from(choice & 1),
+        // One of the next that its owner uses.
+        _ => (0..=choice % 6).fold(last, |counter, _| following(&key, counter)),
     };
     let (id, data) = plain;
     let mut tag = code(&key, counter, id, &data);
@@ -200,6 +203,12 @@ fn frames(kind: u8, bytes: &mut Bytes, reference: &Reference) -> Vec<(u16, Vec<u
     authentication[..3].copy_from_slice(&counter.to_le_bytes()[..3]);
     authentication[3..].copy_from_slice(&tag);
     vec![(of(AUTHENTICATION), authentication.to_vec()), (id, data)]
+}
+
+/// Counter that follows another one: 13 bits of the code of no message, under an identifier that no message has.
+fn following(key: &[u8; 16], counter: u64) -> u64 {
+    let tag = code(key, counter, 0xFFFF, &[0; 8]);
+    counter + 1 + u64::from(u16::from_le_bytes([tag[0], tag[1]]) & 0x1FFF)
 }
 
 /// Key of a session: over a label, the node and the challenge.
@@ -296,6 +305,9 @@ impl Verdict {
     }
 }
 
+/// Line, counter and code of an authentication, and how many requests were tried with it.
+type Expected = (u8, u32, [u8; 5], u32);
+
 /// An open session.
 struct Open {
     key: [u8; 16],
@@ -311,14 +323,16 @@ struct Reference {
     may_arm: bool,
     is_moving: bool,
     is_present: bool,
-    /// A challenge, when it was last asked for.
+    /// A challenge, and when it was drawn.
     offer: Option<(u64, u64)>,
     open: Option<Open>,
     is_abandoned: bool,
-    /// Counter and code that were received last on each line.
+    /// Authentications with one of the next four counters, of the session and of an answer to the challenge.
+    expected: [Option<Expected>; 2],
+    /// Counter and code of the last other one of each line.
     codes: [Option<(u32, [u8; 5])>; 2],
-    /// Codes that were checked in the present ten milliseconds, and when these began.
-    checked: (u32, u64),
+    /// Codes of the others that were checked in the present ten milliseconds of each line, and when these began.
+    checked: [(u32, u64); 2],
     dropped: u32,
     /// When frames of a broken sender were dropped: the latest sixteen.
     latest: VecDeque<u64>,
@@ -334,8 +348,9 @@ impl Reference {
             offer: None,
             open: None,
             is_abandoned: false,
+            expected: [None; 2],
             codes: [None; 2],
-            checked: (0, 0),
+            checked: [(0, 0); 2],
             dropped: 0,
             latest: VecDeque::new(),
         }
@@ -343,6 +358,75 @@ impl Reference {
 
     fn close(&mut self) {
         (self.offer, self.open) = (None, None);
+        self.expected = [None; 2];
+    }
+
+    /// The challenge ends two seconds after it was drawn.
+    fn end_offer(&mut self, now: u64) {
+        if self.offer.is_some_and(|(_, at)| now - at > 2000) {
+            self.offer = None;
+            self.expected[1] = None;
+        }
+    }
+
+    /// Keys and last counters of the session and of an answer to the challenge.
+    fn keys(&self) -> [Option<([u8; 16], u64)>; 2] {
+        let open = self.open.as_ref().map(|open| (open.key, open.counter));
+        let offer = self.offer.map(|(number, _)| (session_key(&KEY, self.node, number), 0));
+        [open, offer]
+    }
+
+    fn receive_code(&mut self, now: u64, source: u8, counter: u32, tag: [u8; 5]) {
+        self.end_offer(now);
+        for (expected, key) in self.keys().into_iter().enumerate() {
+            let Some((key, mut next)) = key else { continue };
+            let there = self.expected[expected];
+            if there.is_some_and(|(line, known, ..)| (line, known) == (source, counter)) {
+                continue;
+            }
+            for _ in 0..4 {
+                next = following(&key, next);
+                if next & 0xFF_FFFF == u64::from(counter) {
+                    self.expected[expected] = Some((source, counter, tag, 0));
+                    return;
+                }
+            }
+        }
+        self.codes[usize::from(source)] = Some((counter, tag));
+    }
+
+    /// The counter of a request, if its code is valid; none where no code preceded it.
+    fn check(
+        &mut self,
+        now: u64,
+        source: u8,
+        (index, key, last): (usize, [u8; 16], u64),
+        (id, data): (u16, &[u8]),
+    ) -> Option<Option<u64>> {
+        let counter_of = |low: u32, tag: [u8; 5]| {
+            let mut counter = (last & !0xFF_FFFF) + u64::from(low);
+            if counter <= last {
+                counter += 1 << 24;
+            }
+            (code(&key, counter, id, data) == tag).then_some(counter)
+        };
+        let mut result = None;
+        if let Some((line, low, tag, tries)) = self.expected[index]
+            && line == source
+        {
+            self.expected[index] = (tries < 7).then_some((line, low, tag, tries + 1));
+            result = Some(counter_of(low, tag));
+        }
+        if !matches!(result, Some(Some(_)))
+            && let Some((low, tag)) = self.codes[usize::from(source)].take()
+        {
+            let may_check = self.may_check(now, source);
+            result = Some(counter_of(low, tag).filter(|_| may_check));
+        }
+        if matches!(result, Some(Some(_))) {
+            self.expected[index] = None;
+        }
+        result
     }
 
     fn allow(&mut self, may_arm: bool) {
@@ -400,7 +484,7 @@ impl Reference {
                 AUTHENTICATION => {
                     let counter = u32::from_le_bytes([data[0], data[1], data[2], 0]);
                     let tag = [data[3], data[4], data[5], data[6], data[7]];
-                    self.codes[usize::from(source)] = Some((counter, tag));
+                    self.receive_code(now, source, counter, tag);
                     Verdict::Nothing
                 }
                 KEY_PART if data[5..] == [0; 3] => match self.writes_key(now, source, id, data) {
@@ -448,22 +532,18 @@ impl Reference {
         if data[0] == op::ARM && !self.may_arm {
             return Verdict::Refused(status::FAULTY);
         }
-        let offer = self.offer.filter(|(_, at)| now - at <= 500);
-        let Some((low, tag)) = self.codes[usize::from(source)].take() else {
-            let number = offer.map_or(random & 0xFFFF_FFFF_FFFF, |(number, _)| number);
-            self.offer = Some((number, now));
-            return Verdict::Challenge(number);
+        self.end_offer(now);
+        let (number, _) = *self.offer.get_or_insert((random & 0xFFFF_FFFF_FFFF, now));
+        let key = session_key(&KEY, self.node, number);
+        let counter = match self.check(now, source, (1, key, 0), (id, data)) {
+            None => return Verdict::Challenge(number),
+            Some(None) => {
+                self.drop(now);
+                return Verdict::Refused(status::REFUSED);
+            }
+            Some(Some(counter)) => counter,
         };
-        let may_check = self.may_check(now);
-        let opened = offer.filter(|_| may_check).and_then(|(number, _)| {
-            let key = session_key(&KEY, self.node, number);
-            let counter = if low == 0 { 1 << 24 } else { u64::from(low) };
-            (code(&key, counter, id, data) == tag).then_some((key, counter))
-        });
-        let Some((key, counter)) = opened else {
-            self.drop(now);
-            return Verdict::Refused(status::REFUSED);
-        };
+        self.expected = [None; 2];
         let is_armed = data[0] == op::ARM;
         self.offer = None;
         self.is_abandoned &= !is_armed;
@@ -484,33 +564,27 @@ impl Reference {
         Verdict::Refused(status::NOT_PRESENT)
     }
 
-    /// Whether the last code of the line is that of the message, and its counter is new.
+    /// Whether a code before it is that of the message, and its counter is new.
     fn is_owner(&mut self, now: u64, source: u8, id: u16, data: &[u8]) -> bool {
-        let received = self.codes[usize::from(source)].take();
-        if received.is_none() || self.open.is_none() || !self.may_check(now) {
-            return false;
-        }
-        let (Some(open), Some((low, tag))) = (&mut self.open, received) else {
+        let Some(Open { key, counter, .. }) = self.open else {
+            self.codes[usize::from(source)] = None;
             return false;
         };
-        let mut counter = (open.counter & !0xFF_FFFF) + u64::from(low);
-        if counter <= open.counter {
-            counter += 1 << 24;
+        let checked = self.check(now, source, (0, key, counter), (id, data));
+        if let (Some(Some(counter)), Some(open)) = (checked, &mut self.open) {
+            (open.counter, open.active) = (counter, now);
         }
-        if code(&open.key, counter, id, data) != tag {
-            return false;
-        }
-        (open.counter, open.active) = (counter, now);
-        true
+        matches!(checked, Some(Some(_)))
     }
 
-    /// Four codes are checked in ten milliseconds.
-    fn may_check(&mut self, now: u64) -> bool {
-        if now - self.checked.1 >= 10 {
-            self.checked = (0, now);
+    /// Two codes of other counters are checked in ten milliseconds on a line.
+    fn may_check(&mut self, now: u64, source: u8) -> bool {
+        let checked = &mut self.checked[usize::from(source)];
+        if now - checked.1 >= 10 {
+            *checked = (0, now);
         }
-        self.checked.0 += 1;
-        self.checked.0 <= 4
+        checked.0 += 1;
+        checked.0 <= 2
     }
 
     fn drop(&mut self, now: u64) -> Verdict {

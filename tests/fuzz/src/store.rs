@@ -61,10 +61,10 @@ pub fn keep(bytes: &[u8]) -> Tally {
 type Flash<const PAGE_BYTES: usize> = FlashModel<{ PAGES as usize }, PAGE_BYTES>;
 
 fn keep_in<const PAGE_BYTES: usize>(mut memory: Flash<PAGE_BYTES>, mut bytes: Bytes) -> Tally {
-    let (newest, last) = fill(&mut memory, &mut bytes);
+    let Content { newest, last, is_damaged } = fill(&mut memory, &mut bytes);
     let mut tally = Tally::default();
     let loaded = load(&mut memory);
-    found_rightly(&loaded, newest);
+    found_rightly(&loaded, newest, is_damaged);
     tally.found += u32::from(newest.is_some());
     // Sequences do not come to their end in the life of a flash.
     if last.is_some_and(|sequence| sequence > u32::MAX / 2) {
@@ -74,8 +74,10 @@ fn keep_in<const PAGE_BYTES: usize>(mut memory: Flash<PAGE_BYTES>, mut bytes: By
     let mut possible = vec![loaded.parameters];
     let mut loaded = loaded;
     while tally.saved + tally.cut < SAVES && !bytes.is_empty() {
-        // What newer firmware wrote is left as it is: a save over it that was cut short may count later.
-        if loaded.is_settled && loaded.origin != ParameterOrigin::Newer {
+        // What newer firmware wrote, or a damaged save may have replaced, is left as it is: a save over it that was cut short
+        // may count later.
+        let is_left = loaded.origin == ParameterOrigin::Newer || loaded.origin.is_doubtful();
+        if loaded.is_settled && !is_left {
             possible = vec![loaded.parameters];
         }
         let is_saved = session(&mut memory, &mut bytes, &loaded, &mut possible, &mut tally);
@@ -99,6 +101,8 @@ fn session<const PAGE_BYTES: usize>(
     let mut parameters = loaded.parameters;
     memory.cut = cut(bytes, memory.operations, OPERATIONS);
     let mut store = ParameterStore::new(&mut *memory, 0);
+    // As each start does.
+    block(store.load());
     let mut is_saved = true;
     for number in 0..=bytes.byte() % 4 {
         // What is not settled is saved as it is.
@@ -120,12 +124,18 @@ fn session<const PAGE_BYTES: usize>(
     is_saved
 }
 
-/// Writes what a story begins with; tells sequence and version of the newest record that counts, and the
-/// newest sequence of all.
-fn fill<const PAGE_BYTES: usize>(
-    memory: &mut Flash<PAGE_BYTES>,
-    bytes: &mut Bytes,
-) -> (Option<(u32, u16)>, Option<u32>) {
+/// What a flash holds at the beginning.
+struct Content {
+    /// Sequence and version of the newest record that counts.
+    newest: Option<(u32, u16)>,
+    /// The newest sequence of all records.
+    last: Option<u32>,
+    /// A slot has no record, but something in the place of its marks.
+    is_damaged: bool,
+}
+
+/// Writes what a story begins with.
+fn fill<const PAGE_BYTES: usize>(memory: &mut Flash<PAGE_BYTES>, bytes: &mut Bytes) -> Content {
     let slot_count = PAGES * (PAGE_BYTES / SLOT_BYTES) as u32;
     let mut slots = BTreeMap::new();
     for _ in 0..bytes.byte() % 8 {
@@ -152,7 +162,7 @@ fn fill<const PAGE_BYTES: usize>(
                 slot[..said.len()].copy_from_slice(&said);
             }
             _ => slot[..BODY_BYTES]
-                .copy_from_slice(&encode(sequence, &Parameters::DEFAULT, Key::NONE).0),
+                .copy_from_slice(&encode((sequence, sequence), &Parameters::DEFAULT, Key::NONE).0),
         }
         let marks = &mut slot[BODY_BYTES..];
         if kind & 32 == 0 {
@@ -175,6 +185,10 @@ fn fill<const PAGE_BYTES: usize>(
             let _ = block(memory.write(at as u32, word));
         }
     }
+    let is_damaged = slots.iter().any(|(place, slot)| {
+        let is_right = record(slot).is_some_and(|(sequence, _)| sequence % slot_count == *place);
+        !is_right && slot[BODY_BYTES..].iter().any(|byte| *byte != 0xFF)
+    });
     let right = slots.iter().filter_map(|(place, slot)| {
         let (sequence, version) = record(slot)?;
         let (written, end) = slot[BODY_BYTES..].split_at(FIRST_MARK.len());
@@ -184,7 +198,8 @@ fn fill<const PAGE_BYTES: usize>(
     let right: Vec<_> = right.collect();
     let newest = right.iter().filter(|(.., counts)| *counts).max();
     let last = right.iter().map(|(sequence, ..)| *sequence).max();
-    (newest.map(|(sequence, version, _)| (*sequence, *version)), last)
+    let newest = newest.map(|(sequence, version, _)| (*sequence, *version));
+    Content { newest, last, is_damaged }
 }
 
 /// Sequence and version of the record in a slot, if its checksum is right.
@@ -197,15 +212,18 @@ fn record(slot: &[u8; SLOT_BYTES]) -> Option<(u32, u16)> {
     (check == crc32(said)).then_some((sequence, version))
 }
 
-fn found_rightly(loaded: &LoadedParameters, newest: Option<(u32, u16)>) {
+fn found_rightly(loaded: &LoadedParameters, newest: Option<(u32, u16)>, is_damaged: bool) {
+    assert!(is_damaged || !loaded.origin.is_doubtful(), "{loaded:?}");
     match (newest, loaded.origin) {
         (Some((_, VERSION)), ParameterOrigin::Stored) => {}
         (Some((_, version)), ParameterOrigin::Older) => assert!(version < VERSION),
         (Some((_, version)), ParameterOrigin::Newer) => assert!(version > VERSION),
+        (Some(_), ParameterOrigin::Previous) => {}
         (None, ParameterOrigin::Empty | ParameterOrigin::Corrupt) => {}
         other => panic!("found otherwise than written: {other:?}"),
     }
-    if !matches!(loaded.origin, ParameterOrigin::Stored | ParameterOrigin::Older) {
+    let are_defaults = [ParameterOrigin::Newer, ParameterOrigin::Empty, ParameterOrigin::Corrupt];
+    if are_defaults.contains(&loaded.origin) {
         assert_eq!(loaded.parameters, Parameters::DEFAULT);
     }
 }

@@ -355,17 +355,6 @@ fn enabling_again_after_a_quick_stop_is_a_new_command() {
 }
 
 #[test]
-fn enabling_after_foreign_frames_disabled_is_a_new_command() {
-    let mut rig = GripRig::enabled(true);
-    rig.fault(Fault::StrangeFrames, true);
-    rig.tick();
-    assert_eq!(rig.grip.power(), PowerState::Armed);
-    rig.fault(Fault::StrangeFrames, false);
-    rig.send(mode::ENABLE, |_| {});
-    assert_eq!(rig.grip.power(), PowerState::Enabled);
-}
-
-#[test]
 fn lost_rotor_angle_brakes_unless_the_screw_holds_an_object() {
     for (self_locking, is_gripped, expected) in [
         (true, false, Setpoint::Brake),

@@ -115,13 +115,24 @@ impl<const COUNT: usize, const PAGE_BYTES: usize> FlashModel<COUNT, PAGE_BYTES> 
         self.is_off
     }
 
-    /// Flips a bit of a written word.
+    /// Flips a bit of an erased or a written word.
     pub fn flip(&mut self, byte: usize, bit: usize) {
-        match &mut self.words[byte / WORD] {
-            Word::Written(bytes) => bytes[byte % WORD] ^= 1 << bit,
-            _ => panic!("nothing is written at {byte}"),
-        }
-        self.image[byte] ^= 1 << bit;
+        let mut bytes = match self.words[byte / WORD] {
+            Word::Erased => [0xFF; WORD],
+            Word::Written(bytes) => bytes,
+            _ => panic!("the word at {byte} is undefined"),
+        };
+        bytes[byte % WORD] ^= 1 << bit;
+        self.set(byte / WORD, Word::Written(bytes));
+    }
+
+    /// Makes a word unreadable: two of its bits are wrong.
+    pub fn damage(&mut self, byte: usize) {
+        let bytes = match self.words[byte / WORD] {
+            Word::Erased => [0xFF; WORD],
+            Word::Written(bytes) | Word::Torn(_, bytes) | Word::Weak(bytes) => bytes,
+        };
+        self.set(byte / WORD, Word::Torn(Torn::Unreadable, bytes));
     }
 
     fn set(&mut self, index: usize, word: Word) {

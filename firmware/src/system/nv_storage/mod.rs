@@ -1,9 +1,17 @@
 //! Non-volatile storage of the parameters, safe against power loss at any time: a load gives the old or the new values,
 //! never a mixture.
 //!
-//! All parameters and the key of the hosts are one record ([`record`]) with a sequence number and a checksum. Records follow each other through the
-//! slots of [`PAGES`] pages in a ring. 10,000 saves without a reboot erase each of four pages of 2 KiB 313 times; the first
-//! save after a boot erases one page more. The chip is specified for 10,000 erasures, hence 40,000 boots with saves.
+//! All parameters and the key of the hosts are one record ([`record`]) with a sequence number and a checksum. A save writes
+//! it twice. Records follow each other through the slots of [`PAGES`] pages in a ring. 10,000 saves without a reboot erase
+//! each of four pages of 2 KiB 625 times; the first save after a boot erases one page more. The chip is specified for 10,000
+//! erasures, hence 40,000 boots with saves.
+//!
+//! The store fails closed: a revoked key must not come back, nor a key become none, because of damaged bytes. One damaged
+//! record of a save is replaced by the other. If both are damaged, the values before them are loaded as
+//! [`ParameterOrigin::Previous`], without any valid record the defaults as [`ParameterOrigin::Corrupt`]. Neither is saved
+//! again before a person has accepted it ([`crate::tasks::host_service`]), and meanwhile nothing moves. A damaged record is
+//! dated by its sequence and by the number of its save, which has a checksum of its own: the remains of an interrupted erasure have
+//! older ones.
 //!
 //! The state of a word after a power cut is undefined: it may read as any value, as an ECC error, and differently every
 //! time. It may read as erased, accept another write, read correctly, and change at the next boot. Therefore no word
@@ -37,10 +45,12 @@ use embedded_storage_async::nor_flash::NorFlash;
 
 use crate::parameters::Parameters;
 use crate::protocol::authentication::Key;
-use record::{BODY_BYTES, ERASED, FIRST_MARK, SECOND_MARK, SLOT_BYTES, VERSION};
+use record::{BODY_BYTES, ERASED, FIRST_MARK, SAVE_AT, SECOND_MARK, SLOT_BYTES, VERSION, save_of};
 
 /// Pages of the ring.
 pub const PAGES: u32 = 4;
+/// Records of a save.
+const COPIES: u32 = 2;
 
 /// Origin of loaded parameters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -55,10 +65,12 @@ pub enum ParameterOrigin {
     Empty,
     /// Defaults: no record has a valid checksum.
     Corrupt,
+    /// From flash, but a later save is damaged: values and key may have been replaced.
+    Previous,
 }
 
 impl ParameterOrigin {
-    /// Detail of a [`crate::protocol::messages::FaultEvent`]: 0 stored, 1 older, 2 newer, 3 empty, 4 corrupt.
+    /// Detail of a [`crate::protocol::messages::FaultEvent`]: 0 stored, 1 older, 2 newer, 3 empty, 4 corrupt, 5 previous.
     pub const fn code(self) -> u32 {
         match self {
             Self::Stored => 0,
@@ -66,7 +78,13 @@ impl ParameterOrigin {
             Self::Newer => 2,
             Self::Empty => 3,
             Self::Corrupt => 4,
+            Self::Previous => 5,
         }
+    }
+
+    /// Whether the loaded key is not the one that was stored last. A person must accept it, or store another.
+    pub const fn is_doubtful(self) -> bool {
+        matches!(self, Self::Corrupt | Self::Previous)
     }
 }
 
@@ -79,7 +97,7 @@ pub struct LoadedParameters {
     pub key: Key,
     /// Their origin.
     pub origin: ParameterOrigin,
-    /// False after an interrupted save: the caller must save these values again.
+    /// False after an interrupted save, or if only one record has these values: the caller must save them again.
     pub is_settled: bool,
 }
 
@@ -97,6 +115,8 @@ pub struct ParameterStore<F> {
     next: Option<u32>,
     /// The key of the newest record, which the next one repeats.
     key: Key,
+    /// Sequence of the newest damaged record that made the load doubtful: the next save exceeds it.
+    damaged: Option<u32>,
 }
 
 /// Progress of the write of a record.
@@ -114,6 +134,8 @@ enum Stage {
 #[derive(Clone, Copy)]
 struct ValidRecord {
     sequence: u32,
+    /// Number of its save.
+    save: u32,
     version: u16,
     parameters: Parameters,
     key: Key,
@@ -124,8 +146,20 @@ struct ValidRecord {
 enum Slot {
     Erased,
     Record(ValidRecord),
-    /// No valid record; stage by its marks.
-    Invalid(Stage),
+    /// No valid record, and no mark: an interrupted save.
+    Unfinished,
+    /// No valid record where something is in the place of its marks.
+    Damaged(DamagedRecord),
+}
+
+/// A damaged record, or what an interrupted erasure has left of an old one.
+#[derive(Clone, Copy)]
+struct DamagedRecord {
+    /// By its marks.
+    stage: Stage,
+    /// Not covered by a valid checksum.
+    sequence: Option<u32>,
+    save: Option<u32>,
 }
 
 /// Content of all slots.
@@ -139,8 +173,6 @@ struct Scan {
     marked: [Option<u32>; PAGES as usize],
     /// Sequence of the newest valid record, in any stage.
     last: Option<u32>,
-    /// Some slot has a record that does not count.
-    has_invalid: bool,
 }
 
 impl<F: NorFlash> ParameterStore<F> {
@@ -156,7 +188,7 @@ impl<F: NorFlash> ParameterStore<F> {
 
     /// The store whose first page begins at `start`, aligned to a page.
     pub const fn new(flash: F, start: u32) -> Self {
-        Self { flash, start, next: None, key: Key::NONE }
+        Self { flash, start, next: None, key: Key::NONE, damaged: None }
     }
 
     /// The flash, for other stores in it.
@@ -167,38 +199,78 @@ impl<F: NorFlash> ParameterStore<F> {
     /// The newest parameters.
     pub async fn load(&mut self) -> LoadedParameters {
         let found = self.scan().await;
-        let mut is_settled = found.last == found.finished;
         // The slots that the next save would use.
         let following = found.last.map_or(0, |last| last.wrapping_add(1));
-        for next in [following, Self::next_page(found.last)] {
-            is_settled &= match self.slot(next % Self::SLOTS).await {
-                Slot::Erased => true,
-                // Of the previous round.
-                Slot::Record(record) => record.sequence < next,
-                // An incomplete save.
-                Slot::Invalid(Stage::Begun) => true,
-                // A complete or nearly complete save, which may become readable again.
-                Slot::Invalid(_) => false,
-            };
+        let next = [following, Self::next_page(found.last)].map(|next| next % Self::SLOTS);
+        let (mut copies, mut is_damaged) = (0, false);
+        self.damaged = None;
+        let mut is_settled = found.last == found.finished;
+        for slot in 0..Self::SLOTS {
+            match self.slot(slot).await {
+                Slot::Erased | Slot::Unfinished => {}
+                Slot::Record(record) => {
+                    let is_copy = found.newest.is_some_and(|newest| newest.save == record.save);
+                    copies += u32::from(is_copy && record.stage == Stage::Finished);
+                }
+                Slot::Damaged(record) => {
+                    // A complete or nearly complete save, which may become readable again.
+                    is_settled &= !next.contains(&slot) || record.stage == Stage::Begun;
+                    let is_later = |newest| Self::is_later(slot, &record, &newest);
+                    // An interrupted erasure before the first save leaves no marks.
+                    let is_lost = record.stage > Stage::Begun || found.last.is_none();
+                    if found.newest.map_or(is_lost, is_later) {
+                        is_damaged = true;
+                        self.damaged = self.damaged.max(Self::sequence_of(slot, &record));
+                    }
+                }
+            }
         }
         let (parameters, origin) = match found.newest {
+            Some(newest) if is_damaged && newest.version <= VERSION => {
+                (newest.parameters, ParameterOrigin::Previous)
+            }
+            Some(_) if is_damaged => (Parameters::DEFAULT, ParameterOrigin::Previous),
             Some(newest) if newest.version == VERSION => {
                 (newest.parameters, ParameterOrigin::Stored)
             }
             Some(newest) if newest.version < VERSION => (newest.parameters, ParameterOrigin::Older),
             Some(_) => (Parameters::DEFAULT, ParameterOrigin::Newer),
-            None if found.has_invalid => (Parameters::DEFAULT, ParameterOrigin::Corrupt),
+            None if is_damaged => (Parameters::DEFAULT, ParameterOrigin::Corrupt),
             None => (Parameters::DEFAULT, ParameterOrigin::Empty),
         };
         self.key = found.newest.map_or(Key::NONE, |newest| newest.key);
-        LoadedParameters {
-            parameters,
-            key: self.key,
-            origin,
-            // Records of newer firmware stay until the host requests a save.
-            is_settled: is_settled && origin != ParameterOrigin::Corrupt
-                || origin == ParameterOrigin::Newer,
+        let is_settled = match origin {
+            // Records of newer firmware, and doubtful ones, stay until somebody requests a save.
+            ParameterOrigin::Newer | ParameterOrigin::Corrupt | ParameterOrigin::Previous => true,
+            ParameterOrigin::Stored => is_settled && copies >= COPIES,
+            ParameterOrigin::Older | ParameterOrigin::Empty => is_settled,
+        };
+        LoadedParameters { parameters, key: self.key, origin, is_settled }
+    }
+
+    /// Whether a damaged record was written after the newest valid one, by another save.
+    fn is_later(slot: u32, damaged: &DamagedRecord, newest: &ValidRecord) -> bool {
+        if damaged.save == Some(newest.save) {
+            return false;
         }
+        let is_newer = |sequence: u32| {
+            let ahead = sequence.wrapping_sub(newest.sequence);
+            (1..=PAGES * Self::SLOTS).contains(&ahead)
+        };
+        // A page is written from its beginning.
+        let is_behind = Self::page(slot) == Self::page(newest.sequence)
+            && slot > newest.sequence % Self::SLOTS
+            && damaged.stage > Stage::Begun;
+        is_behind || Self::sequence_of(slot, damaged).is_some_and(is_newer)
+    }
+
+    /// Sequence of a damaged record: by its save, which has a checksum, else as it reads.
+    fn sequence_of(slot: u32, damaged: &DamagedRecord) -> Option<u32> {
+        // The first sequence of this slot from there.
+        let sequence_from = |save: u32| save.wrapping_add(slot.wrapping_sub(save) % Self::SLOTS);
+        let sequence = damaged.save.map(sequence_from).or(damaged.sequence)?;
+        // Beyond the life of the flash it is none.
+        (sequence % Self::SLOTS == slot && sequence < u32::MAX / 2).then_some(sequence)
     }
 
     /// Saves a key, or its absence, with the parameters as they were saved last.
@@ -215,7 +287,8 @@ impl<F: NorFlash> ParameterStore<F> {
         saved
     }
 
-    /// Saves all parameters. Takes about 2 ms, and 25 ms more for the erasure of a page (data sheet).
+    /// Saves all parameters, twice if two slots can be written, after a [`Self::load`]. Takes about 4 ms, and 25 ms more for the erasure of a page
+    /// (data sheet).
     ///
     /// # Errors
     /// No slot could be written; the previous record still counts.
@@ -223,10 +296,11 @@ impl<F: NorFlash> ParameterStore<F> {
         let found = self.scan().await;
         // The record that certainly counts is one of these.
         let may_count = |sequence: Option<u32>| sequence.is_some() && sequence >= found.finished;
-        let protected = found.marked.map(may_count);
+        let mut protected = found.marked.map(may_count);
         // The sequence cannot overflow within the life of the flash.
         let first = self.next.take();
-        let mut sequence = first.unwrap_or_else(|| Self::next_page(found.last));
+        let mut sequence = first.unwrap_or_else(|| Self::next_page(found.last.max(self.damaged)));
+        let mut save = None;
         for _ in 0..Self::SLOTS {
             if sequence.is_multiple_of(Self::SLOTS_OF_PAGE) {
                 let page = Self::page(sequence);
@@ -236,36 +310,40 @@ impl<F: NorFlash> ParameterStore<F> {
                     continue;
                 }
             }
-            let slot = sequence % Self::SLOTS;
+            let present = sequence;
             // Successful or not, this slot is used up.
             sequence = sequence.wrapping_add(1);
             self.next = Some(sequence);
-            if matches!(self.slot(slot).await, Slot::Erased)
-                && self.write(slot, sequence.wrapping_sub(1), parameters).await.is_some()
+            let number = save.unwrap_or(present);
+            if present.wrapping_sub(number) >= Self::SLOTS {
+                break;
+            }
+            if !matches!(self.slot(present % Self::SLOTS).await, Slot::Erased)
+                || self.write((present, number), parameters).await.is_none()
             {
+                continue;
+            }
+            if save.is_some() {
                 return Ok(());
             }
+            save = Some(present);
+            if let Some(page) = protected.get_mut(Self::page(present) as usize) {
+                *page = true;
+            }
         }
-        Err(SaveError)
+        save.map(|_| ()).ok_or(SaveError)
     }
 
     async fn scan(&mut self) -> Scan {
         let mut found = Scan::default();
         for slot in 0..Self::SLOTS {
             let record = match self.slot(slot).await {
-                Slot::Erased => continue,
-                Slot::Invalid(_) => {
-                    found.has_invalid = true;
-                    continue;
-                }
                 Slot::Record(record) => record,
+                Slot::Erased | Slot::Unfinished | Slot::Damaged(_) => continue,
             };
             found.last = found.last.max(Some(record.sequence));
             match record.stage {
-                Stage::Begun => {
-                    found.has_invalid = true;
-                    continue;
-                }
+                Stage::Begun => continue,
                 Stage::Marked => {}
                 Stage::Finished => found.finished = found.finished.max(Some(record.sequence)),
             }
@@ -284,38 +362,49 @@ impl<F: NorFlash> ParameterStore<F> {
         let at = self.address(slot);
         let is_read = self.flash.read(at, &mut body).await.is_ok();
         let marks = [
-            self.mark(at + BODY_BYTES as u32).await,
-            self.mark(at + (BODY_BYTES + FIRST_MARK.len()) as u32).await,
+            self.word(at + BODY_BYTES as u32).await,
+            self.word(at + (BODY_BYTES + FIRST_MARK.len()) as u32).await,
         ];
         let stage = match marks {
             [_, Some(SECOND_MARK)] => Stage::Finished,
             [Some(FIRST_MARK), _] => Stage::Marked,
             _ => Stage::Begun,
         };
-        if !is_read {
-            return Slot::Invalid(stage);
-        }
         const BLANK: Option<[u8; FIRST_MARK.len()]> = Some([ERASED; FIRST_MARK.len()]);
-        if marks == [BLANK; 2] && is_erased(&body) {
+        let is_unmarked = marks == [BLANK; 2];
+        if is_read && is_unmarked && is_erased(&body) {
             return Slot::Erased;
         }
-        match record::decode(&body) {
-            Some(record) if record.sequence % Self::SLOTS == slot => Slot::Record(ValidRecord {
+        match record::decode(&body)
+            .filter(|record| is_read && record.sequence % Self::SLOTS == slot)
+        {
+            Some(record) => Slot::Record(ValidRecord {
                 sequence: record.sequence,
+                save: record.save,
                 version: record.version,
                 parameters: record.parameters(),
                 key: record.key(),
                 stage,
             }),
-            _ => Slot::Invalid(stage),
+            None if is_unmarked => Slot::Unfinished,
+            // Word by word, as others may be unreadable.
+            None => Slot::Damaged(DamagedRecord {
+                stage,
+                sequence: self
+                    .word(at)
+                    .await
+                    .and_then(|word| word.first_chunk().copied())
+                    .map(u32::from_le_bytes),
+                save: self.word(at + SAVE_AT as u32).await.and_then(|word| save_of(&word)),
+            }),
         }
     }
 
-    /// Content of a mark; `None` if it is unreadable.
-    async fn mark(&mut self, at: u32) -> Option<[u8; FIRST_MARK.len()]> {
-        let mut mark = [0; FIRST_MARK.len()];
-        self.flash.read(at, &mut mark).await.ok()?;
-        Some(mark)
+    /// Content of eight bytes, such as a mark; `None` if they are unreadable.
+    async fn word(&mut self, at: u32) -> Option<[u8; FIRST_MARK.len()]> {
+        let mut word = [0; FIRST_MARK.len()];
+        self.flash.read(at, &mut word).await.ok()?;
+        Some(word)
     }
 
     async fn erase(&mut self, page: u32) -> Result<(), F::Error> {
@@ -323,12 +412,13 @@ impl<F: NorFlash> ParameterStore<F> {
         self.flash.erase(from, from + F::ERASE_SIZE as u32).await
     }
 
-    /// Writes a record, then its marks; verifies each before the next.
-    async fn write(&mut self, slot: u32, sequence: u32, parameters: &Parameters) -> Option<()> {
-        let (body, used) = record::encode(sequence, parameters, self.key);
+    /// Writes the record with this sequence of the save with this number, then its marks; verifies each before the next.
+    async fn write(&mut self, (sequence, save): (u32, u32), parameters: &Parameters) -> Option<()> {
+        let (body, used) = record::encode((sequence, save), parameters, self.key);
         let words = body.get(..used.next_multiple_of(F::WRITE_SIZE))?;
-        let mut at = self.address(slot);
+        let mut at = self.address(sequence % Self::SLOTS);
         self.flash.write(at, words).await.ok()?;
+        self.flash.write(at + SAVE_AT as u32, body.get(SAVE_AT..)?).await.ok()?;
         let mut read = [0; BODY_BYTES];
         self.flash.read(at, &mut read).await.ok()?;
         if read != body {
@@ -337,7 +427,7 @@ impl<F: NorFlash> ParameterStore<F> {
         at += BODY_BYTES as u32;
         for mark in [FIRST_MARK, SECOND_MARK] {
             self.flash.write(at, &mark).await.ok()?;
-            if self.mark(at).await? != mark {
+            if self.word(at).await? != mark {
                 return None;
             }
             at += mark.len() as u32;

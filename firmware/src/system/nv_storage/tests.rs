@@ -6,8 +6,8 @@ use embedded_storage_async::nor_flash::{NorFlash, ReadNorFlash};
 use crate::fixed_point::Force;
 use crate::parameters::schema::{PARAMETERS, id};
 use crate::protocol::authentication::Key;
-use crate::system::nv_storage::flash_model::{Cut, FlashModel, PAGES, Torn, block};
-use crate::system::nv_storage::record::{decode, encode, encode_as};
+use crate::system::nv_storage::flash_model::{Cut, FlashModel, PAGE, PAGES, Torn, block};
+use crate::system::nv_storage::record::{KEY, decode, encode, encode_as};
 
 /// Parameters unique to this number in every tare and in the time-out.
 fn parameters(number: u32) -> Parameters {
@@ -45,6 +45,16 @@ fn saves(flash: &mut FlashModel, all: &[Parameters]) {
     }
 }
 
+/// A boot as [`crate::tasks::host_service`] does it: unsettled values are saved again.
+fn boot(flash: &mut FlashModel) -> LoadedParameters {
+    let mut store = store(flash);
+    let loaded = block(store.load());
+    if !loaded.is_settled {
+        let _ = block(store.save(&loaded.parameters));
+    }
+    loaded
+}
+
 /// A flash after `count` saves without a reboot in between, numbered from one.
 fn saved(count: u32) -> FlashModel {
     let mut flash = FlashModel::new(u64::from(count));
@@ -79,8 +89,9 @@ fn save_with_cut(flash: &mut FlashModel, (operation, cut): (u32, Cut), all: &[Pa
     let mut store = store(flash);
     store.flash.cut = Some((store.flash.operations + operation, cut));
     let is_saved = all.iter().all(|next| block(store.save(next)).is_ok());
-    assert_eq!(is_saved, !flash.is_off());
-    !is_saved
+    // One of two records may have been written.
+    assert!(is_saved || flash.is_off());
+    flash.is_off()
 }
 
 /// Boots, saves unsettled values again, and boots four more times: the loaded values are possible and stay, and the next
@@ -157,7 +168,8 @@ fn second_power_cut_leaves_old_or_new_values() {
                 if loaded.is_settled && next == found {
                     continue;
                 }
-                for second in (0..all).flat_map(|at| CUTS.map(|cut| (at, cut))) {
+                // A third of them, of each operation and each kind.
+                for second in (0..all).flat_map(|at| CUTS.map(|cut| (at, cut))).step_by(3) {
                     let mut flash = flash.clone();
                     let is_off = save_with_cut(&mut flash, second, &[next]);
                     let possible = if is_off { &possible[..] } else { &[next] };
@@ -175,11 +187,13 @@ fn second_power_cut_leaves_old_or_new_values() {
 fn repeated_cuts_in_marks_never_erase_the_valid_record() {
     let possible = parameters(1);
     let first = operations(&FlashModel::new(0), |flash| save(flash, &possible).unwrap());
+    // An erasure, then two records of as many operations.
+    let second_mark = (first - 1) / 2;
     let mut refused = 0;
     for seed in 0..400 {
         let mut flash = FlashModel::new(seed);
         // A cut in the second mark, then repeated cuts in the first mark of the next saves.
-        for operation in [first - 1].into_iter().chain([first - 2; 12]) {
+        for operation in [second_mark].into_iter().chain([second_mark - 1; 12]) {
             let mut store = store(&mut flash);
             let cut = Cut::Torn(Torn::Varying);
             store.flash.cut = Some((store.flash.operations + operation, cut));
@@ -194,9 +208,9 @@ fn repeated_cuts_in_marks_never_erase_the_valid_record() {
 }
 
 #[test]
-fn saves_10000_erase_a_page_at_most_313_times() {
+fn saves_10000_erase_a_page_625_times() {
     let mut flash = saved(10_000);
-    assert_eq!(flash.erasures, [313, 313, 312, 312]);
+    assert_eq!(flash.erasures, [625; PAGES]);
     assert_eq!(load(&mut flash).parameters, parameters(10_000));
 }
 
@@ -223,9 +237,10 @@ fn empty_flash_loads_defaults_with_origin_empty() {
 
 #[test]
 fn origins_have_the_details_of_the_protocol() {
-    use ParameterOrigin::{Corrupt, Empty, Newer, Older, Stored};
-    let codes = [Stored, Older, Newer, Empty, Corrupt].map(ParameterOrigin::code);
-    assert_eq!(codes, [0, 1, 2, 3, 4]);
+    use ParameterOrigin::{Corrupt, Empty, Newer, Older, Previous, Stored};
+    let all = [Stored, Older, Newer, Empty, Corrupt, Previous];
+    assert_eq!(all.map(ParameterOrigin::code), [0, 1, 2, 3, 4, 5]);
+    assert_eq!(all.map(ParameterOrigin::is_doubtful), [false, false, false, false, true, true]);
 }
 
 /// As a flash with another division would have it.
@@ -240,24 +255,148 @@ fn record_in_another_slot_does_not_count() {
     assert_eq!((loaded.parameters, loaded.origin), (Parameters::DEFAULT, ParameterOrigin::Corrupt));
 }
 
+/// The key before the last save, and the last one.
+const KEYS: [Key; 2] = [Key(*b"the revoked keyy"), Key(*b"the present key.")];
+
+/// A flash after `count` saves with the first key, of which some are followed by a boot, and one of the second.
+fn with_keys(count: u32, boots: u32) -> FlashModel {
+    let mut flash = FlashModel::new(u64::from(count));
+    for number in 1..=boots {
+        save(&mut flash, &parameters(number)).unwrap();
+    }
+    let mut store = store(&mut flash);
+    block(store.load());
+    block(store.save_key(KEYS[0])).unwrap();
+    for number in 1..=count {
+        block(store.save(&parameters(number))).unwrap();
+    }
+    block(store.save_key(KEYS[1])).unwrap();
+    flash
+}
+
+/// Boots twice: the present key counts, or the fault stays.
+fn check_not_silent(flash: &mut FlashModel, case: &str) -> ParameterOrigin {
+    let [first, second] = [0; 2].map(|_| boot(flash));
+    for loaded in [first, second] {
+        assert!(loaded.key == KEYS[1] || loaded.origin.is_doubtful(), "{case}: {loaded:?}");
+    }
+    assert_eq!(first.origin.is_doubtful(), second.origin.is_doubtful(), "{case}");
+    first.origin
+}
+
 #[test]
-fn record_with_bit_error_gives_the_previous_record() {
-    let flash = saved(2);
-    let (_, used) = encode(1, &parameters(2), Key::NONE);
-    for byte in 0..used {
-        for bit in 0..8 {
+fn flip_of_any_bit_loses_no_key() {
+    // In the middle of a page, over its end, in the next round, and one save a boot.
+    let mut cases = 0;
+    for (count, boots) in [(0, 0), (3, 0), (16, 0), (2, 5)] {
+        let flash = with_keys(count, boots);
+        let expected = load(&mut flash.clone()).parameters;
+        for at in 0..8 * PAGES * PAGE {
             let mut flash = flash.clone();
-            flash.flip(SLOT_BYTES + byte, bit);
-            let loaded = load(&mut flash);
-            assert_eq!(loaded.parameters, parameters(1), "byte {byte}, bit {bit}");
-            assert!(!loaded.is_settled);
+            flash.flip(at / 8, at % 8);
+            let case = std::format!("{count} {boots}, bit {at}");
+            assert_eq!(check_not_silent(&mut flash, &case), ParameterOrigin::Stored, "{case}");
+            assert_eq!(load(&mut flash).parameters, expected, "{case}");
+            cases += 1;
         }
     }
-    let mut only = saved(1);
-    only.flip(9, 0);
-    let loaded = load(&mut only);
-    assert_eq!(loaded.origin, ParameterOrigin::Corrupt);
-    assert_eq!(loaded.parameters, Parameters::DEFAULT);
+    assert_eq!(cases, 262_144);
+}
+
+#[test]
+fn flips_of_both_records_are_no_older_key() {
+    for (count, boots) in [(0, 0), (3, 0), (16, 0), (2, 5)] {
+        let flash = with_keys(count, boots);
+        let last = block(ParameterStore::new(flash.clone(), 0).scan()).last.unwrap();
+        let slots = 32;
+        let slot = |sequence: u32| (sequence % slots) as usize * SLOT_BYTES;
+        // Of a word in each record: a bit, or all of it, over the whole record.
+        for (first, second) in (0..BODY_BYTES).flat_map(|at| [(at, at), (at, 0), (0, at)]) {
+            for is_unreadable in [false, true] {
+                let mut flash = flash.clone();
+                for at in [slot(last - 1) + first, slot(last) + second] {
+                    if is_unreadable { flash.damage(at) } else { flash.flip(at, 3) }
+                }
+                let case = std::format!("{count} {boots}, {first} {second}, {is_unreadable}");
+                check_not_silent(&mut flash, &case);
+            }
+        }
+    }
+}
+
+#[test]
+fn doubtful_store_stays_so_until_somebody_saves() {
+    let mut flash = with_keys(0, 0);
+    for slot in [2, 3] {
+        flash.flip(slot * SLOT_BYTES + 9, 0);
+    }
+    for _ in 0..4 {
+        let loaded = boot(&mut flash);
+        let expected = (ParameterOrigin::Previous, KEYS[0], true);
+        assert_eq!((loaded.origin, loaded.key, loaded.is_settled), expected);
+    }
+    for slot in [0, 1] {
+        flash.flip(slot * SLOT_BYTES + 9, 0);
+    }
+    for _ in 0..4 {
+        let loaded = boot(&mut flash);
+        assert_eq!((loaded.origin, loaded.key), (ParameterOrigin::Corrupt, Key::NONE));
+        assert_eq!(loaded.parameters, Parameters::DEFAULT);
+    }
+    let mut accepted = store(&mut flash);
+    block(accepted.load());
+    block(accepted.save_key(KEYS[1])).unwrap();
+    let loaded = boot(&mut flash);
+    assert_eq!((loaded.origin, loaded.key), (ParameterOrigin::Stored, KEYS[1]));
+}
+
+/// In each operation of a new key's save, and over boots: the old key counts only if the save was not done.
+#[test]
+fn power_cut_in_a_save_of_a_key_is_no_fault() {
+    let mut cases = 0;
+    for (count, boots) in [(0, 0), (3, 0), (16, 0), (2, 5)] {
+        let flash = with_keys(count, boots);
+        let replace = |flash: &mut FlashModel| {
+            let mut store = store(flash);
+            block(store.load());
+            block(store.save_key(KEYS[0]))
+        };
+        for operation in 0..operations(&flash, |flash| replace(flash).unwrap()) {
+            for cut in CUTS {
+                let mut flash = flash.clone();
+                let mut store = store(&mut flash);
+                block(store.load());
+                store.flash.cut = Some((store.flash.operations + operation, cut));
+                let _ = block(store.save_key(KEYS[0]));
+                assert!(flash.is_off());
+                let found = boot(&mut flash);
+                let case = std::format!("{count} {boots}, {operation}, {cut:?}");
+                assert_eq!(found.origin, ParameterOrigin::Stored, "{case}");
+                assert!(KEYS.contains(&found.key), "{case}");
+                for _ in 0..4 {
+                    let again = boot(&mut flash);
+                    assert_eq!((again.key, again.origin), (found.key, found.origin), "{case}");
+                }
+                cases += 1;
+            }
+        }
+    }
+    assert!(cases > 1000, "{cases}");
+}
+
+#[test]
+fn store_of_earlier_firmware_keeps_its_key_and_is_written_twice() {
+    let mut flash = FlashModel::new(1);
+    let parts = KEYS[1].0.as_chunks::<4>().0.iter().map(|part| i32::from_le_bytes(*part));
+    let pairs: Vec<_> = parameters(1).all().chain((KEY..).zip(parts)).collect();
+    let (body, _) = encode_as(VERSION, 0, pairs.into_iter());
+    block(flash.write(0, &body)).unwrap();
+    block(flash.write(BODY_BYTES as u32, &[FIRST_MARK, SECOND_MARK].concat())).unwrap();
+    let loaded = boot(&mut flash);
+    assert_eq!((loaded.origin, loaded.key), (ParameterOrigin::Stored, KEYS[1]));
+    assert!(!loaded.is_settled);
+    let loaded = boot(&mut flash);
+    assert!(loaded.is_settled && (loaded.key, loaded.parameters) == (KEYS[1], parameters(1)));
 }
 
 #[test]
@@ -278,11 +417,11 @@ fn key_stays_over_saves_of_parameters_and_its_own_saves_keep_them() {
 #[test]
 fn older_version_is_migrated_and_newer_is_ignored() {
     let written = |version, pairs: &[(u16, i32)]| {
-        let mut flash = saved(3);
-        let (body, _) = encode_as(version, 3, pairs.iter().copied());
-        block(flash.write(3 * SLOT_BYTES as u32, &body)).unwrap();
+        let mut flash = saved(1);
+        let (body, _) = encode_as(version, 2, pairs.iter().copied());
+        block(flash.write(2 * SLOT_BYTES as u32, &body)).unwrap();
         let marks = [FIRST_MARK, SECOND_MARK].concat();
-        block(flash.write((3 * SLOT_BYTES + BODY_BYTES) as u32, &marks)).unwrap();
+        block(flash.write((2 * SLOT_BYTES + BODY_BYTES) as u32, &marks)).unwrap();
         load(&mut flash)
     };
     // Valid, out of range, and unknown.
@@ -305,10 +444,11 @@ fn longest_record_fits_slot_and_round_trips() {
         let widest = [i32::from(u8::MAX), 500, 256_000, 0x77, 0x3F, 2, 1];
         let _ = widest.iter().find(|value| all.set(row.id, **value).is_ok());
     }
-    let (body, used) = encode(u32::MAX, &all, Key([0xFF; 16]));
+    let (body, used) = encode((u32::MAX, 7), &all, Key([0xFF; 16]));
     assert!(used <= BODY_BYTES);
     let record = decode(&body).unwrap();
-    assert_eq!((record.sequence, record.parameters()), (u32::MAX, all), "{used}");
+    let found = (record.sequence, record.save, record.parameters());
+    assert_eq!(found, (u32::MAX, 7, all), "{used}");
 }
 
 #[test]
@@ -326,10 +466,10 @@ fn worn_page_is_skipped() {
 #[test]
 fn save_fails_without_erasable_page_and_keeps_record() {
     // The newest record is in the last slot of the first page.
-    let mut flash = saved(40);
+    let mut flash = saved(20);
     flash.worn = [false, true, true, true];
-    assert_eq!(save(&mut flash, &parameters(41)), Err(SaveError));
-    assert_eq!(load(&mut flash).parameters, parameters(40));
+    assert_eq!(save(&mut flash, &parameters(21)), Err(SaveError));
+    assert_eq!(load(&mut flash).parameters, parameters(20));
 }
 
 #[test]

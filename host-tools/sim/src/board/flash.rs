@@ -26,6 +26,18 @@ impl Default for Flash {
 }
 
 impl Flash {
+    /// All bytes.
+    pub fn bytes(&self) -> Vec<u8> {
+        self.0.borrow().clone()
+    }
+
+    /// Flips a bit.
+    pub fn flip(&self, byte: usize, bit: u32) {
+        if let Some(byte) = self.0.borrow_mut().get_mut(byte) {
+            *byte ^= 1 << bit;
+        }
+    }
+
     fn with<T>(
         &mut self,
         offset: u32,

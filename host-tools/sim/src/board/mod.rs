@@ -16,6 +16,7 @@
 pub mod can;
 pub mod clock;
 pub mod flash;
+pub mod forger;
 pub mod host;
 pub mod i2c;
 pub mod inertial;
@@ -232,8 +233,10 @@ pub struct VirtualTimeBoard {
     crashed: Rc<Cell<Option<Crash>>>,
     /// A host has requested a reboot.
     rebooting: Rc<Cell<bool>>,
+    /// Whether somebody presses the button.
+    pub button: Rc<Cell<bool>>,
     /// Parameters and calibrations.
-    flash: Flash,
+    pub flash: Flash,
 }
 
 /// What the estimator of a board runs.
@@ -276,6 +279,7 @@ impl VirtualTimeBoard {
             grasp: motor.grasp,
             crashed: Rc::default(),
             rebooting: Rc::default(),
+            button: Rc::default(),
             flash: Flash::default(),
         };
         let mut store = ParameterStore::new(board.flash.clone(), flash::PARAMETERS);
@@ -283,6 +287,11 @@ impl VirtualTimeBoard {
         let _ = block_on(store.save(&board.program.parameters));
         board.spawn_loops();
         board
+    }
+
+    /// Switches the supply off and on.
+    pub fn power_cycle(&mut self) {
+        self.restart(None);
     }
 
     /// Restarts the program, in no time. Spawned actors and unsaved settings are lost.
@@ -424,7 +433,7 @@ impl VirtualTimeBoard {
             tasks::receive_serial(into, DEFAULT_NODE, &limits, &clock, &exchange).await
         });
         let (clock, exchange) = parts();
-        let rebooting = self.rebooting.clone();
+        let (rebooting, button) = (self.rebooting.clone(), self.button.clone());
         self.spawn(async move {
             let mut state = 1_u64;
             // A pseudo-random sequence; challenges need not be secret here.
@@ -445,7 +454,7 @@ impl VirtualTimeBoard {
                 },
                 configuration_defect: None,
                 random,
-                is_pressed: || false,
+                is_pressed: || button.get(),
                 reboot: || rebooting.set(true),
             };
             tasks::host_service(service, &clock, &exchange).await;
