@@ -11,6 +11,7 @@
 //! - [`residuals`]: the remaining residual, and what each effect removed of it.
 //! - [`remaining_structure`]: what follows no covariate.
 //! - [`formulas`]: formulas of the covariates, where the catalogue leaves structure.
+//! - [`drifts`]: drifts that explain the same as an effect of time.
 //! - [`observer`]: progress, first answer, early end.
 //! - [`verdicts`]: a verdict on every candidate.
 //! - [`recording_differences`]: zeros and places that differ between recordings, before any effect.
@@ -23,6 +24,7 @@ use crate::compare::force_errors::held_out_forces;
 use crate::compare::{EffectOrigin, ForceError};
 use crate::data_quality::Finding;
 use crate::diagnose::candidates::candidates;
+use crate::diagnose::drifts::equivalent_drifts;
 pub use crate::diagnose::formulas::DiscoveredFormula;
 use crate::diagnose::formulas::{discover, equivalent_formulas};
 use crate::diagnose::forward_selection::forward_selection;
@@ -54,6 +56,7 @@ use std::path::Path;
 pub mod candidate_fit;
 pub mod candidates;
 pub mod confusable_effects;
+pub mod drifts;
 pub mod formulas;
 pub mod forward_selection;
 pub mod observer;
@@ -296,6 +299,27 @@ impl Diagnosis {
         self.equivalent_formulas = equivalent_formulas;
     }
 
+    /// An accepted effect is equivalent to drifts of these quantities.
+    fn set_equivalent_drifts(&mut self, effect: &EffectTerm, targets: &[&str]) {
+        if targets.is_empty() {
+            return;
+        }
+        let drifts: Vec<String> =
+            targets.iter().map(|target| format!("a drift of {target}")).collect();
+        for step in &mut self.staircase {
+            if step.added.iter().any(|name| name == effect.name()) {
+                step.added.extend(drifts.iter().cloned());
+            }
+        }
+        for verdict in self.verdicts.iter_mut().filter(|one| one.effect == effect.name()) {
+            (verdict.kind, verdict.reason) = (VerdictKind::Tied, Reason::Equivalent);
+            verdict.tied_with.extend(drifts.iter().cloned());
+            if verdict.record.is_empty() {
+                verdict.record = effect.effect().map_or("", |known| known.record).to_owned();
+            }
+        }
+    }
+
     /// Sets the force error of each step, and from it the excess of each verdict.
     fn set_forces(&mut self, forces: &[Option<ForceError>], selection: &Selection) {
         for (step, force) in self.staircase.iter_mut().zip(forces) {
@@ -513,6 +537,12 @@ pub fn diagnose(
     }
     let mut diagnosis = conclude(&selection, &formulas, &untestable, campaign.recordings.len());
     diagnosis.set_equivalent_formulas(equivalent_formulas);
+    if let Some(last) = selection.stages.last() {
+        for effect in selection.steps.iter().map(|step| &step.chosen) {
+            let drifts = equivalent_drifts(&sample, last, effect, selection.block_s);
+            diagnosis.set_equivalent_drifts(effect, &drifts);
+        }
+    }
     diagnosis.noise = NoiseSummary::of(campaign.recordings.iter().map(|one| &one.noise));
     diagnosis.at_floor &= diagnosis.noise.disagreement.is_none();
     let last = selection.stages.last();

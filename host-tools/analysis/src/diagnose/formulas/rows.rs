@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use model_export::effects::{EffectTerm, ExcitationSeries};
+use model_export::effects::{EffectParameter, EffectTerm, ExcitationSeries};
 use model_export::fit::campaign::FitSetup;
 use model_export::fit::cross_validation::CvSplit;
 use model_export::fit::problem::SensorProblem;
@@ -78,8 +78,8 @@ impl SensorRows {
     }
 }
 
-/// Rows of all sensors. Of the effects `without`, whose parameters are coefficients, the columns are left out and their share
-/// is part of the residual: the linearisation is that of the whole model. Blocks of time have at least `block_s` seconds.
+/// Rows of all sensors. Of the effects `without` the columns are left out, and the share of their coefficients is part of the
+/// residual: the linearisation is that of the whole model, with its shapes. Blocks of time have at least `block_s` seconds.
 pub fn of_model(
     setup: &FitSetup,
     model: &FittedModel,
@@ -117,6 +117,12 @@ fn of_sensor(
         own.flat_map(|(_, range)| range.clone()).collect()
     };
     let left_out = of_effects(&|effect| without.contains(effect));
+    let coefficients: Vec<bool> = std::iter::repeat_n(true, problem.base_count)
+        .chain(problem.effects.iter().flat_map(|effect| {
+            let parameters = effect.parameters(rows.parts.len());
+            parameters.iter().map(EffectParameter::is_coefficient).collect::<Vec<_>>()
+        }))
+        .collect();
     let without_prior = of_effects(&|effect| matches!(effect, EffectTerm::Expression(_)));
     let stiffness = problem.base.stiffness(values);
     let (mut residual, mut patterns) = (Vec::new(), vec![Vec::new(); points.len()]);
@@ -158,7 +164,9 @@ fn of_sensor(
             }
             for &index in &left_out {
                 let mut column = derivatives.column_mut(index);
-                sums[0] += Vector3::new(column[0], column[1], column[2]) * scaled[index];
+                if coefficients.get(index).is_some_and(|is_coefficient| *is_coefficient) {
+                    sums[0] += Vector3::new(column[0], column[1], column[2]) * scaled[index];
+                }
                 column.fill(0.0);
             }
             // Of the mean: the noise of the rows is independent.
