@@ -69,3 +69,37 @@ fn apply(values: &[f64], excitation: &ExcitationSeries, series: &mut StateSeries
         state.strength *= 1.0 - 0.01 * (step + slope * time_s / 60.0 + lost);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Strength of the magnet over 20 s of the second recording, which begins 30 s after the first.
+    fn strength(values: &[f64]) -> Vec<f64> {
+        let time_s: Vec<f64> = (0..=200).map(|i| 0.1 * f64::from(i)).collect();
+        let excitation = ExcitationSeries {
+            force_n: vec![[0.0; 2]; time_s.len()],
+            recording: 1,
+            before_s: 30.0,
+            time_s,
+            ..ExcitationSeries::default()
+        };
+        let mut series = StateSeries::of(&excitation, [1.0; 2], &[]);
+        apply(values, &excitation, &mut series);
+        series.states.iter().map(|state| state.strength).collect()
+    }
+
+    #[test]
+    fn impact_acts_in_its_own_recording_after_its_instant() {
+        // Since the first recording 1 %, and 2 % after 12 s of this one.
+        let own = strength(&[1.0, 5.0, 2.0, 0.0, 42.0]);
+        assert!((own[119] - 0.99).abs() < 1e-5 && (own[121] - 0.97).abs() < 1e-5, "{own:?}");
+        // In the first recording, and after this one.
+        for at_s in [12.0, 51.0] {
+            assert!(strength(&[1.0, 5.0, 2.0, 0.0, at_s]).iter().all(|s| (s - 0.99).abs() < 1e-12));
+        }
+        // 0.6 % in a minute: 0.2 % in 20 s.
+        let slow = strength(&[0.0, 0.0, 0.0, 0.6, 0.0]);
+        assert!((slow[0] - 1.0).abs() < 1e-12 && (slow[200] - 0.998).abs() < 1e-12);
+    }
+}
