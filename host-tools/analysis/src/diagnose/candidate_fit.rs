@@ -102,6 +102,7 @@ pub fn best_candidate(
         gain: best.gain,
         reduction: best.reduction,
         p_adjusted: best.screened.p_of_acceptance(),
+        inclusion: best.screened.inclusion,
         z_typical: best.screened.evidence.z_typical,
         form_gain: 0.0,
     };

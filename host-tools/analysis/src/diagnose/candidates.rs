@@ -210,6 +210,8 @@ pub struct ScreenedEffect {
     /// p-value of no reduction of the held-out squared error by more than [`MIN_GAIN`], and of a transient effect by more than
     /// 0.8 of what an arbitrary function of time does; adjusted for all candidates.
     pub p_adjusted: f64,
+    /// Share of the resamples of the blocks of time in which the held-out squared error falls by more than [`MIN_GAIN`].
+    pub inclusion: f64,
 }
 
 impl ScreenedEffect {
@@ -282,6 +284,7 @@ pub fn screen(around: &ScoreTest, candidates: &[EffectTerm], seed: u64) -> Vec<S
         .zip(scores)
         .map(|((candidate, evidence), z)| ScreenedEffect {
             p_adjusted: p_adjusted(&candidate, &evidence),
+            inclusion: inclusion(&evidence.by_block, seed),
             candidate,
             evidence,
             p_explained: p_value(z),
@@ -308,6 +311,28 @@ fn p_of_reduction(by_block: &[BlockChange], least: f64) -> f64 {
         }
         _ => 1.0,
     }
+}
+
+/// Resamples of the blocks for [`inclusion`].
+pub const RESAMPLES: usize = 200;
+
+/// Share of the resamples of the blocks, with replacement, in which the held-out squared residual falls by more than [`MIN_GAIN`].
+fn inclusion(by_block: &[BlockChange], seed: u64) -> f64 {
+    let blocks: Vec<&BlockChange> = by_block.iter().filter(|block| block.without > 0.0).collect();
+    if blocks.is_empty() {
+        return f64::NAN;
+    }
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut falls = || {
+        let beyond: f64 = (0..blocks.len())
+            .map(|_| {
+                let block = blocks[rng.random_range(0..blocks.len())];
+                block.reduction - MIN_GAIN * block.without
+            })
+            .sum();
+        beyond > 0.0
+    };
+    (0..RESAMPLES).filter(|_| falls()).count() as f64 / RESAMPLES as f64
 }
 
 /// Random signs of the blocks, one list per resample.
@@ -341,6 +366,17 @@ mod tests {
         assert!((p(1.0, 1.0) - 0.197_58).abs() < 1e-4, "{}", p(1.0, 1.0));
         // A reduction of less than 0.1 % is none, however certain.
         assert!(p(0.009, 1e-6) == 1.0 && p(-1.0, 0.1) == 1.0);
+    }
+
+    #[test]
+    fn inclusion_is_the_share_of_resamples_with_a_reduction() {
+        let block = |reduction: f64| BlockChange { without: 10.0, reduction, product: 0.0 };
+        assert_eq!(inclusion(&[block(1.0); 5], 1), 1.0);
+        assert_eq!(inclusion(&[block(0.005); 5], 1), 0.0);
+        // One block of two explains what the other one loses: both of the first, or one of each.
+        let both = inclusion(&[block(3.0), block(-2.0)], 1);
+        assert!((both - 0.75).abs() < 0.1, "{both}");
+        assert!(inclusion(&[], 1).is_nan());
     }
 
     #[test]

@@ -6,7 +6,7 @@ use crate::diagnose::candidates::{MIN_GAIN, screen};
 use crate::diagnose::confusable_effects::{Collinearity, Similarity};
 use crate::diagnose::observer::Observer;
 use crate::diagnose::residuals::{attributed_covariates, block_s, residual_tables};
-use crate::diagnose::selection::{DISTINGUISHABLE, FittedModel, SMALL, Selection};
+use crate::diagnose::selection::{DISTINGUISHABLE, DropReason, FittedModel, SMALL, Selection};
 use anyhow::Result;
 use model_export::effects::EffectTerm;
 use model_export::fit::FitOptions;
@@ -40,6 +40,7 @@ pub fn forward_selection(
         steps: Vec::new(),
         implausible: Vec::new(),
         unconfirmed: Vec::new(),
+        dropped: Vec::new(),
         stages: vec![FittedModel::new(
             prepared,
             present.to_vec(),
@@ -163,7 +164,8 @@ pub fn eliminate_backward(
         let removed = std::slice::from_ref(chosen);
         selection.stages =
             selection.stages_without((place, removed), simpler, prepared, options)?;
-        selection.steps.remove(place);
+        let step = selection.steps.remove(place);
+        selection.dropped.push(step.dropped(DropReason::Needless));
     }
     Ok(())
 }

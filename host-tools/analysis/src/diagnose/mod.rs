@@ -34,6 +34,7 @@ use crate::diagnose::recording_plan::{RecordingProposal, propose};
 use crate::diagnose::remaining_structure::RemainingStructure;
 pub use crate::diagnose::residuals::EffectShape;
 use crate::diagnose::residuals::{residuals_against, shapes};
+pub use crate::diagnose::selection::{DropReason, DroppedStep};
 use crate::diagnose::selection::{FittedModel, Selection};
 pub use crate::diagnose::suggestions::{Suggestion, SuggestionKind};
 use crate::diagnose::verdicts::conclude;
@@ -87,6 +88,8 @@ pub struct Diagnosis {
     pub findings: Vec<Finding>,
     /// A verdict on each candidate, sorted by kind and gain.
     pub verdicts: Vec<Verdict>,
+    /// Steps that were accepted and dropped again, in this order.
+    pub dropped: Vec<DroppedStep>,
     /// Accepted steps, each one effect or several equivalent ones; the effects of formulas last.
     pub accepted: Vec<Vec<String>>,
     /// Formulas of the covariates that explain what no effect of the catalogue does.
@@ -262,6 +265,9 @@ pub struct Verdict {
     pub gain: f64,
     /// p-value adjusted for all candidates; NaN if not tested.
     pub p_adjusted: f64,
+    /// Share of the resamples of the blocks of time in which it reduces the held-out squared error of the linearised model; NaN
+    /// if not tested.
+    pub inclusion: f64,
     /// Magnitude in `unit`; NaN if not fitted.
     pub value: f64,
     /// Standard error of the magnitude.
@@ -392,6 +398,8 @@ pub struct Unexplained {
 pub struct StaircaseStep {
     /// Added effects; empty for the first step.
     pub added: Vec<String>,
+    /// Free parameters of the model at one sensor.
+    pub parameters: usize,
     /// Cross-validated error over all channels, in gauss.
     pub held_out_rms_g: f64,
     /// Held-out force error; `None` where the device cannot compute the forces, or the diagnosis was ended early.

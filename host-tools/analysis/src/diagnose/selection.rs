@@ -13,6 +13,7 @@ use model_export::fit::campaign::FitSetup;
 use model_export::fit::cross_validation::CvSplit;
 use model_export::fit::effect_size::{EffectSize, effect_sizes};
 use model_export::fit::joint::JointFit;
+use serde::Serialize;
 
 /// Maximum residual of a complete selection in noise floors; above it names are provisional.
 const COMPLETE: f64 = 1.5;
@@ -37,6 +38,8 @@ pub struct AcceptedStep {
     pub reduction: f64,
     /// Adjusted p-value; NaN where it is only significant in a full fit or next to another effect.
     pub p_adjusted: f64,
+    /// Share of the resamples of blocks in which the linearised model includes it.
+    pub inclusion: f64,
     /// Typical magnitude in standard errors at this step.
     pub z_typical: f64,
     /// Relative reduction of the last model's held-out squared residual by other forms of the effect.
@@ -53,9 +56,15 @@ impl AcceptedStep {
             gain: model.gain(before),
             reduction: before.mean_square() - model.mean_square(),
             p_adjusted: screened.p_of_acceptance(),
+            inclusion: screened.inclusion,
             z_typical: screened.evidence.z_typical,
             form_gain: 0.0,
         }
+    }
+
+    /// As dropped.
+    pub fn dropped(&self, reason: DropReason) -> DroppedStep {
+        DroppedStep { step: self.chosen.name().to_owned(), gain: self.gain, reason }
     }
 }
 
@@ -69,6 +78,40 @@ pub struct ImplausibleFit {
     pub gain: f64,
 }
 
+/// Why an accepted step was dropped.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum DropReason {
+    /// Next to the later steps the error does not rise without it.
+    Needless,
+    /// It does not lower the error of all rows in every fold.
+    NotOnAllRows,
+    /// The error of the field is at the floor without it, and that of the forces hardly rises.
+    IrrelevantForces,
+}
+
+/// A step that was accepted and dropped again.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct DroppedStep {
+    /// The effect, or the targets and formulas of a formula.
+    pub step: String,
+    /// Reduction of the held-out squared error by which it was accepted, as a fraction.
+    pub gain: f64,
+    /// Why it was dropped.
+    pub reason: DropReason,
+}
+
+impl DroppedStep {
+    /// A formula, by its text.
+    pub fn of_formula(formula: &DiscoveredFormula, reason: DropReason) -> Self {
+        let texts = formula.effects.iter().map(|effect| match effect {
+            EffectTerm::Expression(expression) => expression.text.clone(),
+            EffectTerm::Catalogue(effect) => effect.id.to_owned(),
+        });
+        Self { step: texts.collect::<Vec<_>>().join(" and "), gain: formula.gain, reason }
+    }
+}
+
 /// Result of the selection.
 pub struct Selection {
     /// Accepted steps.
@@ -77,6 +120,8 @@ pub struct Selection {
     pub implausible: Vec<ImplausibleFit>,
     /// Steps accepted on the sample that reduce the error of all rows by nothing.
     pub unconfirmed: Vec<AcceptedStep>,
+    /// Steps and formulas that were dropped.
+    pub dropped: Vec<DroppedStep>,
     /// Models from the first to the last step.
     pub stages: Vec<FittedModel>,
     /// Score tests of all candidates on the last model.
@@ -131,8 +176,16 @@ impl Selection {
                 || last.gain(&self.stages[0]) <= MIN_GAIN)
         {
             self.stages.pop();
-            if formulas.pop().is_none() {
-                self.unconfirmed.extend(self.steps.pop());
+            match formulas.pop() {
+                Some(formula) => {
+                    self.dropped.push(DroppedStep::of_formula(&formula, DropReason::NotOnAllRows));
+                }
+                None => {
+                    let last = self.steps.pop();
+                    self.dropped
+                        .extend(last.as_ref().map(|step| step.dropped(DropReason::NotOnAllRows)));
+                    self.unconfirmed.extend(last);
+                }
             }
         }
         let gains: Vec<f64> = self.stages.windows(2).map(|pair| pair[1].gain(&pair[0])).collect();
@@ -157,7 +210,10 @@ impl Selection {
         {
             self.stages.pop();
             forces.pop();
-            formulas.pop();
+            let last = formulas.pop();
+            let dropped =
+                last.map(|one| DroppedStep::of_formula(&one, DropReason::IrrelevantForces));
+            self.dropped.extend(dropped);
         }
     }
 

@@ -306,6 +306,7 @@ mod tests {
             kind,
             provisional: false,
             tied_with: Vec::new(),
+            inclusion: f64::NAN,
             reproduces: Vec::new(),
             excess_n: None,
             gain: 0.9,

@@ -45,6 +45,7 @@ pub fn conclude(
             })
             .collect(),
         staircase: stairs(selection, formulas),
+        dropped: selection.dropped.clone(),
         is_complete: complete,
         block_s: selection.block_s,
         blocks: selection.blocks,
@@ -94,6 +95,7 @@ fn stairs(selection: &Selection, formulas: &[DiscoveredFormula]) -> Vec<Staircas
     let added = added.chain(formulas.iter().map(|formula| vec![formula.name.clone()]));
     let stair = |(stage, added): (&FittedModel, Vec<String>)| StaircaseStep {
         added,
+        parameters: stage.fit.sensors.first().map_or(0, |sensor| sensor.parameters.len()),
         held_out_rms_g: stage.mean_square().sqrt(),
         force: None,
         floor_g: stage.fit.tally().floor_g(),
@@ -122,6 +124,7 @@ fn of_step(
         excess_n: None,
         gain: step.gain,
         p_adjusted: step.p_adjusted,
+        inclusion: step.inclusion,
         value: f64::NAN,
         std_error: f64::NAN,
         unit: effect.size_unit().into_owned(),
@@ -151,6 +154,7 @@ fn of_step(
         let mut verdict = base(effect, VerdictKind::Shadow);
         verdict.tied_with.clear();
         (verdict.gain, verdict.p_adjusted, verdict.z_typical) = (f64::NAN, f64::NAN, f64::NAN);
+        verdict.inclusion = f64::NAN;
         verdict.reason = Reason::ExplainedBetter(all.clone());
         verdicts.push(verdict);
     }
@@ -166,6 +170,7 @@ fn unconfirmed(effect: &EffectTerm, step: &AcceptedStep, complete: bool) -> Verd
         provisional: !complete,
         gain: step.gain,
         p_adjusted: step.p_adjusted,
+        inclusion: step.inclusion,
         z_typical: step.z_typical,
         ..of_unjudged(&UntestableEffect { effect, reason, record })
     }
@@ -199,6 +204,7 @@ fn of_rest(
             provisional: !complete,
             gain: fit.gain,
             p_adjusted: screened.p_adjusted,
+            inclusion: screened.inclusion,
             value: *value,
             std_error: *std_error,
             unit: unit.to_string(),
@@ -220,6 +226,7 @@ fn of_rest(
         excess_n: None,
         gain: evidence.gain(),
         p_adjusted: screened.p_adjusted,
+        inclusion: screened.inclusion,
         value: f64::NAN,
         std_error: f64::NAN,
         unit: effect.size_unit().into_owned(),
@@ -268,6 +275,7 @@ pub(super) fn of_unjudged(unjudged: &UntestableEffect) -> Verdict {
         excess_n: None,
         gain: 0.0,
         p_adjusted: f64::NAN,
+        inclusion: f64::NAN,
         value: f64::NAN,
         std_error: f64::NAN,
         unit: String::new(),

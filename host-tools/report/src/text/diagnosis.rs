@@ -1,11 +1,11 @@
 //! Text and JSON of a diagnosis.
 
 use analysis::compare::{AT_FLOOR, BELOW_FLOOR, ForceError};
-use analysis::diagnose::candidates::{LEVEL, MIN_GAIN};
+use analysis::diagnose::candidates::{LEVEL, MIN_GAIN, RESAMPLES};
 use analysis::diagnose::remaining_structure::RemainingStructure;
 use analysis::diagnose::{
-    ConfoundedOffsets, Diagnosis, DiscoveredFormula, Reason, StaircaseStep, Suggestion,
-    SuggestionKind, Unexplained, Verdict, VerdictKind,
+    ConfoundedOffsets, Diagnosis, DiscoveredFormula, DropReason, DroppedStep, Reason,
+    StaircaseStep, Suggestion, SuggestionKind, Unexplained, Verdict, VerdictKind,
 };
 use analysis::numbers::{self, field};
 use anstyle::Style;
@@ -159,7 +159,7 @@ fn verdict_table(diagnosis: &Diagnosis) -> String {
 }
 
 fn step_table(diagnosis: &Diagnosis) -> String {
-    let heads = ["step", "excess / N", "force / N", "noise / N", "field", "x floor"];
+    let heads = ["step", "params", "excess / N", "force / N", "noise / N", "field", "x floor"];
     let mut table = terminal::table(heads);
     table.set_width(NARROW_WIDTH);
     for stair in &diagnosis.staircase {
@@ -168,6 +168,7 @@ fn step_table(diagnosis: &Diagnosis) -> String {
         };
         table.add_row([
             added_effects(stair),
+            stair.parameters.to_string(),
             newtons(ForceError::excess_n),
             newtons(|force| force.rms_n),
             newtons(|force| force.noise_n),
@@ -177,7 +178,27 @@ fn step_table(diagnosis: &Diagnosis) -> String {
     }
     terminal::right_align(&mut table, 1);
     let rise = rising_force(&diagnosis.staircase).map_or_else(String::new, |note| paragraph(&note));
-    format!("{table}\n{}{rise}\n", paragraph(STEP_NOTE))
+    let dropped = paragraph(&dropped_steps(diagnosis));
+    format!("{table}\n{}{rise}{dropped}\n", paragraph(STEP_NOTE))
+}
+
+/// What was accepted and dropped again, with the reasons; empty without any.
+pub fn dropped_steps(diagnosis: &Diagnosis) -> String {
+    let of = |step: &DroppedStep| {
+        let why = match step.reason {
+            DropReason::Needless => "next to the other steps the error does not rise without it",
+            DropReason::NotOnAllRows => "it does not lower the error of all rows in every fold",
+            DropReason::IrrelevantForces => {
+                "the field is at the floor without it, and the squared error of the forces rises by less than 1 %"
+            }
+        };
+        format!(
+            "Dropped: {} (gain {:.1} % when it was accepted): {why}.",
+            step.step,
+            100.0 * step.gain
+        )
+    };
+    diagnosis.dropped.iter().map(of).collect::<Vec<_>>().join(" ")
 }
 
 /// Steps that lower the error of the field and raise that of the forces; `None` without one.
@@ -200,7 +221,7 @@ pub fn rising_force(steps: &[StaircaseStep]) -> Option<String> {
 }
 
 /// What the columns of the steps are.
-const STEP_NOTE: &str = "Held out. Force: RMS over all forces through the device's code, of which noise alone, and the excess over it \
+const STEP_NOTE: &str = "Held out. Params: free parameters of the model at one sensor. Force: RMS over all forces through the device's code, of which noise alone, and the excess over it \
                          (root of the difference of squares). Field: RMS over all channels, and in multiples of the noise floor.";
 
 /// The force error of the model as it is and with everything that was found; empty without forces.
@@ -530,6 +551,7 @@ pub fn to_json(diagnosis: &Diagnosis) -> Value {
         "noise": diagnosis.noise,
         "interrupted": diagnosis.is_interrupted,
         "staircase": diagnosis.staircase,
+        "dropped": diagnosis.dropped,
         "rows": { "selected_by": diagnosis.rows[0], "all": diagnosis.rows[1] },
         "recordings": { "selected_by": diagnosis.recordings[0], "all": diagnosis.recordings[1] },
         "blocks": diagnosis.blocks,
@@ -585,6 +607,7 @@ fn verdict_json(diagnosis: &Diagnosis, verdict: &Verdict) -> Value {
         "excess_n": verdict.excess_n,
         "gain": verdict.gain,
         "p_adjusted": verdict.p_adjusted,
+        "inclusion": verdict.inclusion,
         "value": verdict.value,
         "std_error": verdict.std_error,
         "unit": verdict.unit,
@@ -771,7 +794,17 @@ fn reduction(gain: f64) -> String {
 pub fn reason(verdict: &Verdict) -> String {
     let z = verdict.z_typical;
     let mut text = match &verdict.reason {
-        Reason::ReducesError => format!("it {}", reduction(verdict.gain)),
+        Reason::ReducesError => {
+            let included = if verdict.inclusion.is_finite() {
+                format!(
+                    ", and is included in {:.0} of {RESAMPLES} resamples of the blocks of time",
+                    verdict.inclusion * RESAMPLES as f64
+                )
+            } else {
+                String::new()
+            };
+            format!("it {}{included}", reduction(verdict.gain))
+        }
         Reason::Equivalent => {
             "each of them explains the same; these recordings cannot distinguish them".to_owned()
         }
@@ -1166,8 +1199,13 @@ mod tests {
         verdicts.extend(names.iter().map(|name| blocked(name, 0.001)));
         let missing = Reason::NotRecorded("opening_mm".to_owned(), Vec::new());
         verdicts.push(verdict_of("neighbour_magnet", VerdictKind::Inconclusive, missing));
-        let step =
-            StaircaseStep { added: Vec::new(), held_out_rms_g: 0.7, force: None, floor_g: 0.16 };
+        let step = StaircaseStep {
+            added: Vec::new(),
+            parameters: 14,
+            held_out_rms_g: 0.7,
+            force: None,
+            floor_g: 0.16,
+        };
         let diagnosis = Diagnosis { verdicts, staircase: vec![step], ..Diagnosis::default() };
         let page = uncolored(&diagnosis);
         let row = page.lines().find(|line| line.contains("7 others")).unwrap();
@@ -1195,6 +1233,7 @@ mod tests {
     fn rising_force_error_is_stated() {
         let step = |added: &str, rms_g: f64, rms_n: f64| StaircaseStep {
             added: vec![added.to_owned()],
+            parameters: 14,
             held_out_rms_g: rms_g,
             force: Some(ForceError::of_device(rms_n, 0.4, ErrorRows::LeaveRecordingOut)),
             floor_g: 0.16,
@@ -1227,6 +1266,7 @@ mod tests {
     fn formula_is_listed_with_its_line_its_values_and_its_other_targets() {
         let step = |added: &[&str], rms: f64| StaircaseStep {
             added: added.iter().map(|&name| name.to_owned()).collect(),
+            parameters: 14,
             held_out_rms_g: rms,
             force: None,
             floor_g: 0.16,

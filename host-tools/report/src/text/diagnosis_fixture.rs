@@ -15,6 +15,7 @@ pub fn verdict_of(effect: &str, kind: VerdictKind, reason: Reason) -> Verdict {
         reproduces: Vec::new(),
         excess_n: None,
         tied_with: Vec::new(),
+        inclusion: f64::NAN,
         gain: 0.0,
         p_adjusted: 1.0,
         value: f64::NAN,
@@ -86,6 +87,7 @@ pub fn full() -> Diagnosis {
     };
     let stair = |added: &[&str], rms: f64| StaircaseStep {
         added: added.iter().map(|&name| name.to_owned()).collect(),
+        parameters: 14 + added.len(),
         held_out_rms_g: rms,
         force: (rms > 1.0).then_some(ForceError::of_device(
             0.6 * rms,

@@ -37,7 +37,7 @@ use crate::compare::AT_FLOOR;
 use crate::diagnose::candidates::varying_covariates;
 use crate::diagnose::forward_selection::screen_last;
 use crate::diagnose::observer::Observer;
-use crate::diagnose::selection::{FittedModel, Selection};
+use crate::diagnose::selection::{DropReason, DroppedStep, FittedModel, Selection};
 use candidate::{COEFFICIENTS, Candidate, columns_at};
 use chain_points::ChainPoint;
 use dictionary::{Dictionary, RankedCandidate};
@@ -186,7 +186,9 @@ pub fn discover(
             }
         }
     };
-    selection.steps.truncate(steps);
+    let replaced = selection.steps.drain(steps.min(selection.steps.len())..);
+    let replaced: Vec<_> = replaced.map(|step| step.dropped(DropReason::Needless)).collect();
+    selection.dropped.extend(replaced);
     selection.stages.truncate(1 + steps);
     selection.stages.extend(found.stages);
     let mut formulas = found.formulas;
@@ -282,8 +284,14 @@ fn remove_needless(
         }
         selection.stages = selection.stages_without((place, &removed), without, setup, options)?;
         match place.checked_sub(selection.steps.len()) {
-            None => drop(selection.steps.remove(place)),
-            Some(formula) => drop(formulas.remove(formula)),
+            None => {
+                let step = selection.steps.remove(place);
+                selection.dropped.push(step.dropped(DropReason::Needless));
+            }
+            Some(formula) => {
+                let formula = formulas.remove(formula);
+                selection.dropped.push(DroppedStep::of_formula(&formula, DropReason::Needless));
+            }
         }
     }
     Ok(())

@@ -22,6 +22,7 @@ pub fn section(diagnosis: &Diagnosis) -> Section {
     let rows = stairs.iter().enumerate().map(|(i, stair)| {
         vec![
             html! { (i) ". " (text::added_effects(stair)) },
+            html! { (stair.parameters) },
             html! { (number(stair.held_out_rms_g)) },
             html! { (number(floors(stair))) },
             html! { (maybe(stair.force.map(|force| force.excess_n()))) },
@@ -39,9 +40,10 @@ pub fn section(diagnosis: &Diagnosis) -> Section {
                 ]))
             }
             @if let Some(note) = text::rising_force(stairs) { p.note { (note) } }
+            @if !diagnosis.dropped.is_empty() { p.note { (text::dropped_steps(diagnosis)) } }
             (table(
                 "Step by step",
-                &["added", "field RMS in G", "field RMS / floor", "force excess in N", "force RMS in N", "noise in N"],
+                &["added", "parameters", "field RMS in G", "field RMS / floor", "force excess in N", "force RMS in N", "noise in N"],
                 rows,
             ))
     };
