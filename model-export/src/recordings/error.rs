@@ -129,6 +129,10 @@ pub enum ErrorKind {
     )]
     TooManyTopics { max: usize },
     #[error(
+        "the message definitions of its topics have more than {max_mib} MiB, the limit of a bag; take the topics of the gripper to a bag of their own with `ros2 bag convert`"
+    )]
+    DefinitionsTooLong { max_mib: usize },
+    #[error(
         "a field has a path of more than {max} bytes, the limit of a field; leave this topic out"
     )]
     PathTooLong { max: usize },

@@ -34,6 +34,8 @@ const LIMITS: [u64; 2] = [200, 20];
 /// Address space of a command in KiB, and its time.
 const MEMORY_KIB: u64 = 2 * 1024 * 1024;
 const PATIENCE: Duration = Duration::from_secs(60);
+/// Bytes that a repeated line of a mutated file has at most.
+const MAX_REPEATED: usize = 8 << 20;
 /// Largest absolute value of a plausible result.
 const PLAUSIBLE: f64 = 1e30;
 
@@ -332,7 +334,9 @@ fn mutated(before: &[u8], rng: &mut ChaCha8Rng) -> Vec<u8> {
             2 => drop(bytes.drain(at..end_of(at, b'\n'))),
             3 => {
                 let line = bytes[at..end_of(at, b'\n')].to_vec();
-                bytes.splice(at..at, line.repeat(rng.random_range(1..1000)));
+                // A bag has long lines.
+                let count = rng.random_range(1..1000).min(1 + MAX_REPEATED / line.len().max(1));
+                bytes.splice(at..at, line.repeat(count));
             }
             4 => {
                 let token = TOKENS[rng.random_range(0..TOKENS.len())];

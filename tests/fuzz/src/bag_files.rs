@@ -303,7 +303,7 @@ pub fn database_file(bytes: &mut Bytes) -> Vec<u8> {
         }
     }
     match bytes.byte() & 31 {
-        0 => {
+        2 => {
             let length = index(bytes, file.len());
             file.truncate(length);
         }

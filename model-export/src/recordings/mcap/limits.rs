@@ -12,12 +12,14 @@ pub const MAX_RECORD_BYTES: u64 = 256 << 20;
 /// Maximum length in bytes of a message in JSON or Protobuf, and of a message definition. Messages of measurements have some
 /// hundred bytes; decoded, a byte takes up to some hundred.
 pub const MAX_MESSAGE_BYTES: usize = 1 << 20;
+/// Maximum length of the message definitions of all topics together; in memory they take up to twenty times as much.
+const MAX_DEFINITIONS_BYTES: usize = 16 << 20;
 /// Maximum number of topics of a bag. Bags of whole robots have some hundred.
 pub const MAX_TOPICS: usize = 1024;
 /// Maximum number of columns of all topics together.
 const MAX_TOTAL_COLUMNS: usize = 16 * MAX_COLUMNS;
 /// Maximum length of the path of a field in bytes.
-const MAX_PATH_BYTES: usize = 1024;
+pub const MAX_PATH_BYTES: usize = 1024;
 /// Values in memory for each byte of the file beyond [`RATIO_FREE_BYTES`]. A measured value takes some bytes also compressed.
 const VALUES_PER_BYTE: u64 = 8;
 /// Time to read a bag: a fixed part, and for each MiB; a debug build reads more than 10 MiB in a second.
@@ -56,12 +58,23 @@ pub struct Contents {
     max_values: usize,
     values: usize,
     columns: usize,
+    definition_bytes: usize,
 }
 
 impl Contents {
     /// Those of a bag with files of this length together.
     pub fn new(bytes: u64) -> Self {
-        Self { max_values: max_values(bytes), values: 0, columns: 0 }
+        Self { max_values: max_values(bytes), values: 0, columns: 0, definition_bytes: 0 }
+    }
+
+    /// Adds the message definition of a topic.
+    pub fn add_definition(&mut self, bytes: usize) -> Result<(), ErrorKind> {
+        self.definition_bytes = self.definition_bytes.saturating_add(bytes);
+        if self.definition_bytes > MAX_DEFINITIONS_BYTES {
+            let max_mib = MAX_DEFINITIONS_BYTES >> 20;
+            return Err(ErrorKind::DefinitionsTooLong { max_mib });
+        }
+        Ok(())
     }
 
     /// Adds a column to the `columns` of a topic with `rows`.

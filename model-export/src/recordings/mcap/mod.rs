@@ -276,6 +276,12 @@ pub fn read_topics(
             let known = match channels.entry(channel.id) {
                 Entry::Occupied(known) => known.into_mut(),
                 Entry::Vacant(vacant) => {
+                    // Messages in JSON do without.
+                    let definition =
+                        channel.schema.as_ref().filter(|_| channel.message_encoding != "json");
+                    if let Some(schema) = definition.filter(|_| is_wanted(&channel.topic)) {
+                        contents.add_definition(schema.data.len()).map_err(at_file)?;
+                    }
                     let decoder = is_wanted(&channel.topic).then(|| Decoder::new(channel));
                     vacant.insert(match decoder {
                         None => None,

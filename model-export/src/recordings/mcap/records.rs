@@ -12,7 +12,7 @@ use flate2::Crc;
 use mcap::records::op;
 use mcap::{Channel, MAGIC, Message, Schema};
 
-use crate::input::{self, MAX_RATIO, max_decompressed};
+use crate::input::{self, MAX_RATIO, MAX_ROW_BYTES, max_decompressed};
 use crate::recordings::error::{DataError, ErrorKind, Location};
 use crate::recordings::mcap::limits::{self, MAX_RECORD_BYTES};
 
@@ -316,6 +316,11 @@ impl<'a> Fields<'a> {
 
     fn text(&mut self) -> Result<String, Fault> {
         let length = self.u32()? as usize;
+        if length as u64 > MAX_ROW_BYTES && length <= self.0.len() {
+            return Err(format!("a name or a text is longer than {MAX_ROW_BYTES} bytes")
+                .as_str()
+                .into());
+        }
         let text = std::str::from_utf8(self.take(length)?).map_err(|_| "a name is not UTF-8")?;
         Ok(text.to_owned())
     }

@@ -8,6 +8,7 @@ use std::sync::Arc;
 
 use mcap::{Channel, Message, Schema};
 use rusqlite::limits::Limit;
+use rusqlite::types::Type;
 use rusqlite::{Connection, OpenFlags, OptionalExtension as _, params};
 
 use crate::input;
@@ -109,9 +110,9 @@ impl<'a> SqliteMessages<'a> {
                     .at(Location::file(file))
             })?;
         }
-        let topics = topics(&database).map_err(damaged)?;
+        let topics = topics(&database, left).map_err(damaged)?;
         check_topics(topics.len()).map_err(|kind| kind.at(Location::file(file)))?;
-        let channels = channels(&database, topics).map_err(damaged)?;
+        let channels = channels(&database, topics, left).map_err(damaged)?;
         let page = Vec::new().into_iter();
         Ok(Self { file, database, channels, page, last_id: None, left, deadline, is_ended: false })
     }
@@ -204,22 +205,32 @@ fn uri(file: &Path) -> String {
     uri + "?immutable=1"
 }
 
-/// What else than a table with plain columns has this name.
+/// What else than a table with plain columns has this name, as SQLite has understood it: what the file states may differ.
 fn check_table(database: &Connection, name: &str) -> rusqlite::Result<Result<(), &'static str>> {
-    let object = "SELECT type, coalesce(rootpage, 0) FROM sqlite_schema WHERE name = ?1 COLLATE NOCASE LIMIT 1";
-    let of = |row: &rusqlite::Row| Ok((row.get::<_, String>(0)?, row.get::<_, i64>(1)?));
-    let Some((kind, page)) = database.query_row(object, [name], of).optional()? else {
-        return Ok(Ok(()));
-    };
-    if kind != "table" {
-        return Ok(Err("no table but a view or an index"));
-    }
-    if page == 0 {
-        return Ok(Err("a virtual table"));
+    let object =
+        "SELECT type, wr FROM pragma_table_list WHERE schema = 'main' AND name = ?1 COLLATE NOCASE";
+    let of = |row: &rusqlite::Row| Ok((row.get::<_, String>(0)?, row.get::<_, bool>(1)?));
+    let found = database.query_row(object, [name], of).optional()?;
+    match found.as_ref().map(|(kind, is_without_rowid)| (kind.as_str(), is_without_rowid)) {
+        None => return Ok(Ok(())),
+        Some(("view", _)) => return Ok(Err("a view")),
+        Some(("table", false)) => {}
+        Some(_) => return Ok(Err("no ordinary table")),
     }
     let hidden = "SELECT count(*) FROM pragma_table_xinfo(?1) WHERE hidden <> 0";
     let has_computed = database.query_row(hidden, [name], |row| row.get::<_, i64>(0))? > 0;
     Ok(if has_computed { Err("a table with computed columns") } else { Ok(()) })
+}
+
+/// A text of a row, of those for which so many bytes are `left`: all of them are in the file.
+fn text(row: &rusqlite::Row, index: usize, left: &mut u64) -> rusqlite::Result<String> {
+    let text = row.get_ref(index)?.as_str()?;
+    let exceeds = || {
+        let reason = "its texts are longer than the file".into();
+        rusqlite::Error::FromSqlConversionFailure(index, Type::Text, reason)
+    };
+    *left = left.checked_sub(text.len() as u64).ok_or_else(exceeds)?;
+    Ok(text.to_owned())
 }
 
 impl Iterator for SqliteMessages<'_> {
@@ -258,11 +269,12 @@ struct StatedTopic {
 }
 
 /// Topics of a bag, one more than allowed at most.
-fn topics(database: &Connection) -> rusqlite::Result<Vec<StatedTopic>> {
+fn topics(database: &Connection, mut left: u64) -> rusqlite::Result<Vec<StatedTopic>> {
     let mut query =
         database.prepare("SELECT id, name, type, serialization_format FROM topics LIMIT ?1")?;
     let topic = |row: &rusqlite::Row| {
-        let [name, kind, message_encoding] = [row.get(1)?, row.get(2)?, row.get(3)?];
+        let mut text = |index| text(row, index, &mut left);
+        let [name, kind, message_encoding] = [text(1)?, text(2)?, text(3)?];
         Ok(StatedTopic { id: row.get(0)?, name, kind, message_encoding })
     };
     query.query_map([MAX_TOPICS as i64 + 1], topic)?.collect()
@@ -272,9 +284,10 @@ fn topics(database: &Connection) -> rusqlite::Result<Vec<StatedTopic>> {
 fn channels(
     database: &Connection,
     topics: Vec<StatedTopic>,
+    left: u64,
 ) -> rusqlite::Result<HashMap<i64, Arc<Channel<'static>>>> {
     let definitions = if database.table_exists(None, "message_definitions")? {
-        definitions(database)?
+        definitions(database, left)?
     } else {
         HashMap::new()
     };
@@ -298,11 +311,17 @@ fn channels(
 }
 
 /// Encoding and text of the definition of each message type; one may be empty where the recorder did not find it.
-fn definitions(database: &Connection) -> rusqlite::Result<HashMap<String, (String, String)>> {
-    let text = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions \
+fn definitions(
+    database: &Connection,
+    mut left: u64,
+) -> rusqlite::Result<HashMap<String, (String, String)>> {
+    let query = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions \
                 WHERE encoded_message_definition <> '' LIMIT ?1";
-    let of = |row: &rusqlite::Row| Ok((row.get(0)?, (row.get(1)?, row.get(2)?)));
-    database.prepare(text)?.query_map([MAX_TOPICS as i64], of)?.collect()
+    let of = |row: &rusqlite::Row| {
+        let mut text = |index| text(row, index, &mut left);
+        Ok((text(0)?, (text(1)?, text(2)?)))
+    };
+    database.prepare(query)?.query_map([MAX_TOPICS as i64], of)?.collect()
 }
 
 #[cfg(test)]

@@ -56,7 +56,9 @@ impl<'a> Reader<'a> {
             return Ok(());
         }
         for field in fields {
-            with_field(path, &field.name, |path| match field.count {
+            // Nobody asks for the path of what is left out.
+            let name = if add.is_some() { field.name.as_str() } else { "" };
+            with_field(path, name, |path| match field.count {
                 Count::One => self.value(field.kind, path, add),
                 Count::Fixed(count) => self.array(field.kind, count, path, add),
                 Count::Sequence => {
@@ -100,10 +102,9 @@ impl<'a> Reader<'a> {
                 self.take(count.saturating_mul(number.size()), number.size()).map(drop)
             }
             Kind::Flag => self.take(count, 1).map(drop),
-            _ => (0..count).try_for_each(|index| {
-                let add = if is_left_out { &mut None } else { &mut *add };
-                with_index(path, index, |path| self.value(kind, path, add))
-            }),
+            _ if is_left_out => (0..count).try_for_each(|_| self.value(kind, path, &mut None)),
+            _ => (0..count)
+                .try_for_each(|index| with_index(path, index, |path| self.value(kind, path, add))),
         }
     }
 

@@ -4,7 +4,7 @@
 
 use std::collections::HashMap;
 
-use crate::recordings::mcap::limits::MAX_MESSAGE_BYTES;
+use crate::recordings::mcap::limits::{MAX_MESSAGE_BYTES, MAX_PATH_BYTES};
 
 /// Maximum nesting of message types. Those of ROS 2 reach 6.
 pub const MAX_DEPTH: usize = 32;
@@ -90,8 +90,12 @@ impl Definition {
         if text.len() > MAX_MESSAGE_BYTES {
             return Err(format!("its definition is longer than {} kB", MAX_MESSAGE_BYTES >> 10));
         }
-        let mut resolver =
-            Resolver { texts: HashMap::new(), resolved: HashMap::new(), types: vec![] };
+        let mut resolver = Resolver {
+            texts: HashMap::new(),
+            resolved: HashMap::new(),
+            enumerations: HashMap::new(),
+            types: vec![],
+        };
         let mut lines = text.lines();
         let mut section: Vec<&str> =
             lines.by_ref().take_while(|line| !is_separator(line)).collect();
@@ -127,6 +131,8 @@ struct Resolver<'a> {
     texts: HashMap<String, Vec<&'a str>>,
     /// Types that are resolved, by name.
     resolved: HashMap<String, usize>,
+    /// Types of enumerations that were looked up, by name.
+    enumerations: HashMap<String, Option<Kind>>,
     types: Vec<MessageType>,
 }
 
@@ -197,7 +203,10 @@ impl Resolver<'_> {
             Some((package, _)) if !name.contains('/') => format!("{package}/{name}"),
             _ => key(name),
         };
-        match self.enumeration(&name) {
+        let known = self.enumerations.get(&name).copied();
+        let enumeration = known.unwrap_or_else(|| self.enumeration(&name));
+        self.enumerations.insert(name.clone(), enumeration);
+        match enumeration {
             Some(kind) => Ok(kind),
             None => Ok(Kind::Message(self.resolve(&name, path)?)),
         }
@@ -274,7 +283,7 @@ fn parse_line(line: &str) -> Result<Option<Line<'_>>, String> {
             (kind, count.ok_or_else(invalid)?)
         }
     };
-    if name.is_empty() || kind.is_empty() {
+    if name.is_empty() || kind.is_empty() || name.len() > MAX_PATH_BYTES {
         return Err(invalid());
     }
     Ok(Some(Line { kind, count, name, is_constant }))

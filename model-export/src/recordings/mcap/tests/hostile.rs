@@ -145,6 +145,11 @@ fn records_with_wrong_lengths_are_refused_or_skipped() {
     let attachment = [&[0; 16][..], &text("a"), &text("b"), &(1_u64 << 60).to_le_bytes()].concat();
     let four_gib = |before: &[u8]| [before, &text_stating(u32::MAX, b"abc")].concat();
     let names = [text("a"), text("b")].concat();
+    let long_metadata = {
+        let pair = [text("units"), text(&"x".repeat(1 << 17))].concat();
+        let ids = [2, 0, 0, 0];
+        record(op::CHANNEL, &[&ids[..], &names, &text_stating(pair.len() as u32, &pair)].concat())
+    };
     let in_chunk = |compression: &str, inner: Vec<u8>| with(packed(compression, &inner));
     let damaged = Err("`mcap recover`");
     let of_chunk = |compression: &str, lengths, records: &[u8]| {
@@ -189,6 +194,7 @@ fn records_with_wrong_lengths_are_refused_or_skipped() {
                 with(record(op::CHANNEL, &four_gib(&[&[2, 0, 0, 0][..], &names].concat()))),
                 damaged.clone(),
             ),
+            ("long metadata", with(long_metadata), Err("longer than 65536 bytes")),
             ("message without a time", with(record(op::MESSAGE, &[1, 0])), damaged.clone()),
             ("message of an unknown channel", with(message(9, b"")), damaged.clone()),
             ("channel of an unknown schema", with(channel(2, 9, "/b", "cdr")), damaged.clone()),
@@ -256,6 +262,10 @@ fn definitions_without_end_are_refused() {
     let lengths = |length: &[u8]| [&value[..], length].concat();
     let too_early = Err("too early");
     let invalid = Err("is no field");
+    let invalid_name = invalid.clone();
+    let constants: String = (0..20_000).map(|i| format!("uint8 C{i}=1\n")).collect();
+    let enumeration =
+        format!("float64 x\n{}===\nMSG: a/E\n{constants}", "a/E[100] e\n".repeat(100));
     check(
         "a.mcap",
         &[
@@ -337,6 +347,12 @@ fn definitions_without_end_are_refused() {
             ),
             ("line without a name", of_definition("float64", &value), invalid.clone()),
             ("open bracket", of_definition("float64[ x", &value), invalid),
+            (
+                "long name of a field",
+                of_definition(&format!("float64 {}", "a".repeat(2000)), &value),
+                invalid_name,
+            ),
+            ("many uses of a long enumeration", of_definition(&enumeration, &[0; 20_000]), Ok(0.0)),
             ("unknown type", of_definition("b/B x", &value), Err("type b/B is missing")),
             ("wide text", of_definition("wstring x", &value), Err("wstring")),
             ("message without content", of_definition("float64 x", b""), too_early),
@@ -368,6 +384,18 @@ fn values_and_names_are_limited() {
             |id| [channel(id, 0, &format!("/t{id}"), "json"), message(id, b"{\"x\":7}")].concat();
         file(&(0..count).map(topic).collect::<Vec<_>>())
     };
+    let shared = |channels: u16| {
+        let definition = format!("float64 x\n{}", "# comment\n".repeat(100_000));
+        let schema = schema(1, "a/A", "ros2msg", definition.as_bytes());
+        let of = |id| {
+            [
+                channel(id, 1, &format!("/t{id}"), "cdr"),
+                message(id, &[[0, 1, 0, 0, 0, 0, 0, 0], [0; 8]].concat()[..12]),
+            ]
+            .concat()
+        };
+        file(&std::iter::once(schema).chain((1..=channels).map(of)).collect::<Vec<_>>())
+    };
     let columns = Err("there are 1025 columns, and the limit is 1024");
     check(
         "a.mcap",
@@ -383,6 +411,8 @@ fn values_and_names_are_limited() {
                 Err("longer than 1024 kB"),
             ),
             ("deep arrays", of_json([array(100_000)]), Err("recursion limit")),
+            ("definition of 16 topics", shared(16), Ok(0.0)),
+            ("definition of 17 topics", shared(17), Err("the message definitions of its topics")),
             ("1024 topics", topics(1024), Ok(7.0)),
             ("1025 topics", topics(1025), Err("more than 1024 topics")),
             ("65,000 topics", topics(65_000), Err("more than 1024 topics")),
@@ -467,7 +497,15 @@ fn only_plain_tables_of_a_database_are_read() {
         "data BLOB NOT NULL",
         "raw BLOB, data BLOB GENERATED ALWAYS AS (zeroblob(1000000000))",
     );
-    let hidden = "a view or an index";
+    let hidden = "a view";
+    let stated = "PRAGMA writable_schema = 1; UPDATE sqlite_schema SET type = 'table', rootpage = 2 WHERE name = 'messages';";
+    // A default takes the place of what the rows of before do not have.
+    let long_names = format!(
+        "DROP TABLE topics; CREATE TABLE topics(id INTEGER PRIMARY KEY); {ENDLESS} INSERT INTO topics SELECT i FROM n LIMIT 1000;
+         ALTER TABLE topics ADD COLUMN name TEXT DEFAULT '{0}'; ALTER TABLE topics ADD COLUMN type TEXT DEFAULT '{0}';
+         ALTER TABLE topics ADD COLUMN serialization_format TEXT DEFAULT 'cdr';",
+        "a".repeat(100_000)
+    );
     let many = |count: u32| {
         let topics = format!(
             "{ENDLESS} INSERT INTO topics SELECT i, '/t' || i, 'std_msgs/msg/Float64', 'cdr' FROM n LIMIT {count};"
@@ -528,18 +566,28 @@ fn only_plain_tables_of_a_database_are_read() {
                 Err(hidden),
             ),
             (
+                "a view that is stated to be a table",
+                database(&[TOPICS, &endless_messages, stated]),
+                Err("`ros2 bag reindex`"),
+            ),
+            (
+                "shared texts",
+                database(&[TOPICS, MESSAGES, &long_names]),
+                Err("longer than the file"),
+            ),
+            (
                 "a virtual table",
                 database(&[
                     "CREATE VIRTUAL TABLE topics USING fts5(id, name, type, serialization_format);",
                     MESSAGES,
                 ]),
-                Err("a virtual table"),
+                Err("no ordinary table"),
             ),
             ("computed messages", database(&[TOPICS, &computed]), Err("computed columns")),
             (
                 "without row numbers",
                 database(&[TOPICS, &MESSAGES.replace(");", ") WITHOUT ROWID;")]),
-                Err("`ros2 bag reindex`"),
+                Err("no ordinary table"),
             ),
             ("no tables", database(&["CREATE TABLE a(b);"]), Err("`ros2 bag reindex`")),
             ("a message as text", message("'abc'"), Err("no blob")),
