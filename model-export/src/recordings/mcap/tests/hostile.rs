@@ -171,35 +171,31 @@ fn records_with_wrong_lengths_are_refused_or_skipped() {
                 Ok(3.0),
             ),
             ("metadata that is cut", with(record(op::METADATA, &[255; 4])), Ok(3.0)),
-            ("record of 2^60 bytes", with(stating(op::ATTACHMENT, 1 << 60, b"a")), damaged.clone()),
-            ("record of 2^64 bytes", with(stating(op::MESSAGE, u64::MAX, b"a")), damaged.clone()),
-            ("schema name of 4 GiB", with(record(op::SCHEMA, &four_gib(&[2, 0]))), damaged.clone()),
+            ("record of 2^60 bytes", with(stating(op::ATTACHMENT, 1 << 60, b"a")), damaged),
+            ("record of 2^64 bytes", with(stating(op::MESSAGE, u64::MAX, b"a")), damaged),
+            ("schema name of 4 GiB", with(record(op::SCHEMA, &four_gib(&[2, 0]))), damaged),
             (
                 "schema encoding of 4 GiB",
                 with(record(op::SCHEMA, &four_gib(&[&[2, 0][..], &text("a")].concat()))),
-                damaged.clone(),
+                damaged,
             ),
             (
                 "schema of 4 GiB",
                 with(record(op::SCHEMA, &four_gib(&[&[2, 0][..], &names].concat()))),
-                damaged.clone(),
+                damaged,
             ),
-            (
-                "topic of 4 GiB",
-                with(record(op::CHANNEL, &four_gib(&[2, 0, 0, 0]))),
-                damaged.clone(),
-            ),
+            ("topic of 4 GiB", with(record(op::CHANNEL, &four_gib(&[2, 0, 0, 0]))), damaged),
             (
                 "metadata of 4 GiB",
                 with(record(op::CHANNEL, &four_gib(&[&[2, 0, 0, 0][..], &names].concat()))),
-                damaged.clone(),
+                damaged,
             ),
             ("long metadata", with(long_metadata), Err("longer than 65536 bytes")),
-            ("message without a time", with(record(op::MESSAGE, &[1, 0])), damaged.clone()),
-            ("message of an unknown channel", with(message(9, b"")), damaged.clone()),
-            ("channel of an unknown schema", with(channel(2, 9, "/b", "cdr")), damaged.clone()),
-            ("channel that changes", with(channel(1, 1, "/b", "cdr")), damaged.clone()),
-            ("schema that changes", with(schema(1, "a", "ros2msg", b"")), damaged.clone()),
+            ("message without a time", with(record(op::MESSAGE, &[1, 0])), damaged),
+            ("message of an unknown channel", with(message(9, b"")), damaged),
+            ("channel of an unknown schema", with(channel(2, 9, "/b", "cdr")), damaged),
+            ("channel that changes", with(channel(1, 1, "/b", "cdr")), damaged),
+            ("schema that changes", with(schema(1, "a", "ros2msg", b"")), damaged),
             (
                 "record beyond its chunk",
                 in_chunk("", stating(op::MESSAGE, 100, b"a")),
@@ -210,23 +206,23 @@ fn records_with_wrong_lengths_are_refused_or_skipped() {
                 in_chunk("lz4", stating(op::ATTACHMENT, 1 << 60, b"a")),
                 Err("exceeds its chunk"),
             ),
-            ("header beyond its chunk", in_chunk("", vec![op::MESSAGE, 1]), damaged.clone()),
-            ("chunk without content", with(record(op::CHUNK, &[0; 8])), damaged.clone()),
+            ("header beyond its chunk", in_chunk("", vec![op::MESSAGE, 1]), damaged),
+            ("chunk without content", with(record(op::CHUNK, &[0; 8])), damaged),
             (
                 "chunk of 2^40 bytes",
                 of_chunk("zstd", [1 << 40, 4], b"abcd"),
                 Err("longer than 256 MiB"),
             ),
-            ("chunk beyond its record", of_chunk("", [4, u64::MAX], b"abcd"), damaged.clone()),
-            ("chunk that is no zstd", of_chunk("zstd", [4, 4], b"abcd"), damaged.clone()),
-            ("chunk that is no lz4", of_chunk("lz4", [4, 4], b"abcd"), damaged.clone()),
+            ("chunk beyond its record", of_chunk("", [4, u64::MAX], b"abcd"), damaged),
+            ("chunk that is no zstd", of_chunk("zstd", [4, 4], b"abcd"), damaged),
+            ("chunk that is no lz4", of_chunk("lz4", [4, 4], b"abcd"), damaged),
             (
                 "chunk of an unknown compression",
                 of_chunk("brotli", [4, 4], b"abcd"),
                 Err("\"brotli\""),
             ),
             ("chunk with a wrong checksum", with(wrong_checksum), Err("checksum")),
-            ("nothing", Vec::new(), damaged.clone()),
+            ("nothing", Vec::new(), damaged),
             ("marks alone", [MAGIC, MAGIC].concat(), damaged),
         ],
     );
@@ -247,7 +243,7 @@ fn compressed_bags_are_limited_by_their_ratio() {
         "a.mcap",
         &[
             ("free", bombs("zstd", 1), Ok(3.0)),
-            ("one chunk", file(&[one]), ratio.clone()),
+            ("one chunk", file(&[one]), ratio),
             ("many chunks", many_chunks, ratio),
         ],
     );
@@ -262,7 +258,6 @@ fn definitions_without_end_are_refused() {
     let lengths = |length: &[u8]| [&value[..], length].concat();
     let too_early = Err("too early");
     let invalid = Err("is no field");
-    let invalid_name = invalid.clone();
     let constants: String = (0..20_000).map(|i| format!("uint8 C{i}=1\n")).collect();
     let enumeration =
         format!("float64 x\n{}===\nMSG: a/E\n{constants}", "a/E[100] e\n".repeat(100));
@@ -288,44 +283,32 @@ fn definitions_without_end_are_refused() {
                 of_definition(&nested(30_000, "NEXT a"), &value),
                 Err("more than 32 levels"),
             ),
-            (
-                "2^31 values",
-                of_definition(&nested(32, "NEXT a\nNEXT b"), &[0; 64]),
-                too_early.clone(),
-            ),
-            ("3^31 values", of_definition(&nested(32, "NEXT[3] a"), &[0; 64]), too_early.clone()),
-            ("array of empty", of_definition(empty, &lengths(four_gib)), too_early.clone()),
+            ("2^31 values", of_definition(&nested(32, "NEXT a\nNEXT b"), &[0; 64]), too_early),
+            ("3^31 values", of_definition(&nested(32, "NEXT[3] a"), &[0; 64]), too_early),
+            ("array of empty", of_definition(empty, &lengths(four_gib)), too_early),
             ("short array of empty", of_definition(empty, &lengths(&[2, 0, 0, 0, 1, 1])), Ok(5.0)),
             (
                 "array of text",
                 of_definition("float64 x\nstring[] s", &lengths(four_gib)),
-                too_early.clone(),
+                too_early,
             ),
             (
                 "array of numbers",
                 of_definition("float64 x\nuint8[] s", &lengths(four_gib)),
-                too_early.clone(),
+                too_early,
             ),
-            ("text", of_definition("float64 x\nstring s", &lengths(four_gib)), too_early.clone()),
-            (
-                "array of 2^63",
-                of_definition("float64[9223372036854775807] x", &value),
-                too_early.clone(),
-            ),
+            ("text", of_definition("float64 x\nstring s", &lengths(four_gib)), too_early),
+            ("array of 2^63", of_definition("float64[9223372036854775807] x", &value), too_early),
             (
                 "array of 2^63 messages",
                 of_definition("E[9223372036854775807] x\n===\nMSG: a/E\nbool b", &value),
-                too_early.clone(),
+                too_early,
             ),
-            (
-                "array of none",
-                of_definition("E[0] e\n===\nMSG: a/E\nfloat64 x", &value),
-                invalid.clone(),
-            ),
+            ("array of none", of_definition("E[0] e\n===\nMSG: a/E\nfloat64 x", &value), invalid),
             (
                 "array of more than a word",
                 of_definition("float64[99999999999999999999] x", &value),
-                invalid.clone(),
+                invalid,
             ),
             (
                 "long array left out",
@@ -345,12 +328,12 @@ fn definitions_without_end_are_refused() {
                 ),
                 Ok(5.0),
             ),
-            ("line without a name", of_definition("float64", &value), invalid.clone()),
+            ("line without a name", of_definition("float64", &value), invalid),
             ("open bracket", of_definition("float64[ x", &value), invalid),
             (
                 "long name of a field",
                 of_definition(&format!("float64 {}", "a".repeat(2000)), &value),
-                invalid_name,
+                invalid,
             ),
             ("many uses of a long enumeration", of_definition(&enumeration, &[0; 20_000]), Ok(0.0)),
             ("unknown type", of_definition("b/B x", &value), Err("type b/B is missing")),
@@ -401,7 +384,7 @@ fn values_and_names_are_limited() {
         "a.mcap",
         &[
             ("1000 fields", of_json([wide(1000)]), Ok(0.0)),
-            ("1100 fields", of_json([wide(1100)]), columns.clone()),
+            ("1100 fields", of_json([wide(1100)]), columns),
             ("a new field in each message", of_json(each_new), columns),
             ("empty values", of_json(sparse), Err("values with the empty ones")),
             ("long name", of_json([format!("{{\"{}\": 1}}", "a".repeat(2000))]), Err("1024 bytes")),
