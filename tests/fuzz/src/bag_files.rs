@@ -93,7 +93,7 @@ fn messages() -> Vec<(u16, u64, Vec<u8>)> {
     };
     let of_row = |row: u64| {
         let value = (row % 7) as f64;
-        let force = (row % 10 == 0).then(|| message(2, row, [value, 10.0 * value, 0.0]));
+        let force = row.is_multiple_of(10).then(|| message(2, row, [value, 10.0 * value, 0.0]));
         std::iter::once(message(1, row, [1e-3 * value, 2e-3, -1e-3])).chain(force)
     };
     (0..MESSAGES).flat_map(of_row).collect()
