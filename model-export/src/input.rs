@@ -182,6 +182,11 @@ pub fn read_text(path: &Path) -> Result<String, DataError> {
     })
 }
 
+/// Maximum length after decompression of a file of this length, both in bytes.
+pub fn max_decompressed(compressed: u64) -> u64 {
+    compressed.saturating_mul(MAX_RATIO).saturating_add(RATIO_FREE_BYTES)
+}
+
 /// Exceeded limit of a [`BoundedReader`], inside of its [`io::Error`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum TableLimit {
@@ -211,9 +216,7 @@ pub struct BoundedReader {
 impl BoundedReader {
     /// `compressed`: length in bytes of the compressed file that `inner` decompresses.
     pub fn new(inner: Box<dyn Read + Send>, compressed: Option<u64>) -> Self {
-        let by_ratio = compressed.map_or(u64::MAX, |bytes| {
-            bytes.saturating_mul(MAX_RATIO).saturating_add(RATIO_FREE_BYTES)
-        });
+        let by_ratio = compressed.map_or(u64::MAX, max_decompressed);
         let (table_left, table_limit) = if by_ratio < MAX_TABLE_BYTES {
             (by_ratio, TableLimit::Ratio)
         } else {

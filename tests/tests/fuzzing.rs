@@ -92,6 +92,18 @@ fn any_bag_is_a_table_or_an_error() {
 }
 
 #[test]
+fn bags_with_changed_records_are_tables_or_errors() {
+    let least = [("decoded", 0.3), ("refused", 0.2), ("joined", 5.0), ("numbers", 3.0)];
+    assert_reached((12, 2_000, 60), |input| fuzz::bag::read_mcap(input).counts(), least);
+}
+
+#[test]
+fn databases_with_changed_pages_are_tables_or_errors() {
+    let least = [("decoded", 0.3), ("refused", 0.2), ("joined", 5.0), ("numbers", 3.0)];
+    assert_reached((13, 2_000, 60), |input| fuzz::bag::read_database(input).counts(), least);
+}
+
+#[test]
 fn formulas_have_the_values_of_a_second_evaluator() {
     let least = [("accepted", 0.4), ("refused", 0.2), ("compared", 1.0), ("operators", 1.5)];
     assert_reached((8, 20_000, 200), |input| fuzz::formula::parse(input).counts(), least);

@@ -4,6 +4,7 @@ mod compensation;
 mod creep;
 mod drivers;
 mod fitting;
+mod hostile_bags;
 mod ideal_model;
 mod import;
 mod magnet_fields;

@@ -91,7 +91,7 @@ pub enum ErrorKind {
     #[error("the table is longer than {max_gib} GiB, the limit of a table; split the recording")]
     TableTooLong { max_gib: u64 },
     #[error(
-        "the table is more than {max} times as long as its compressed file, the limit for measurements; check the file, or decompress it"
+        "the content is more than {max} times as long as its compressed file, the limit for measurements; check the file, or decompress it"
     )]
     RatioTooHigh { max: u64 },
     #[error("there are {found} columns, and the limit is {max}; remove those that are not needed")]
@@ -124,6 +124,30 @@ pub enum ErrorKind {
         "the MCAP file ends too early or is damaged ({0}); copy it again, or repair it with `mcap recover`"
     )]
     DamagedMcap(String),
+    #[error(
+        "the file has more than {max} topics, the limit of a bag; take the topics of the gripper to a bag of their own with `ros2 bag convert`"
+    )]
+    TooManyTopics { max: usize },
+    #[error(
+        "the message definitions of its topics have more than {max_mib} MiB, the limit of a bag; take the topics of the gripper to a bag of their own with `ros2 bag convert`"
+    )]
+    DefinitionsTooLong { max_mib: usize },
+    #[error(
+        "a field has a path of more than {max} bytes, the limit of a field; leave this topic out"
+    )]
+    PathTooLong { max: usize },
+    #[error(
+        "the table has more than {max} values with the empty ones, the limit of a bag of this length; leave topics or columns out, or split the bag"
+    )]
+    TooManyBagValues { max: usize },
+    #[error(
+        "reading takes longer than {seconds} s, the limit for a file of this length; leave topics out, or split the bag"
+    )]
+    TooSlow { seconds: u64 },
+    #[error(
+        "the recorder did not close this bag: some of its messages are in {name}; copy both files to a folder that can be written, and complete the bag there with `sqlite3 {bag} VACUUM`"
+    )]
+    UnfinishedBag { bag: String, name: String },
     #[error(
         "is not a bag of ROS 2, or damaged ({0}); copy it again, or repair it with `ros2 bag reindex`"
     )]

@@ -15,9 +15,16 @@ use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use serde_json::Value;
 
+#[path = "../../fuzz/src/bag_files.rs"]
+mod bag_files;
+#[allow(dead_code)]
+#[path = "../../fuzz/src/bytes.rs"]
+mod bytes;
+
 use crate::magpie::SUBCOMMAND;
 use crate::results::{Section, markdown_table, seeds_text};
 use crate::{DefaultSeeds, Options};
+use bytes::Bytes;
 
 const SEEDS: DefaultSeeds = DefaultSeeds { first: 1, full: 1, quick: 1 };
 /// Full and quick: mutated inputs, kills, and limits of a file's size.
@@ -27,6 +34,8 @@ const LIMITS: [u64; 2] = [200, 20];
 /// Address space of a command in KiB, and its time.
 const MEMORY_KIB: u64 = 2 * 1024 * 1024;
 const PATIENCE: Duration = Duration::from_secs(60);
+/// Bytes that a repeated line of a mutated file has at most.
+const MAX_REPEATED: usize = 8 << 20;
 /// Largest absolute value of a plausible result.
 const PLAUSIBLE: f64 = 1e30;
 
@@ -37,6 +46,9 @@ pub struct Args {
     /// Mutated inputs per seed [default: 10000; quick: 200].
     #[arg(long, value_name = "N")]
     inputs: Option<u64>,
+    /// Only this kind of runs, such as "mutated db3 files".
+    #[arg(long, value_name = "KIND")]
+    only: Option<String>,
 }
 
 /// Runs all seeds.
@@ -51,9 +63,14 @@ pub fn evaluate(args: &Args, options: &Options) -> Result<Section> {
     for seed in seeds.clone() {
         for (kind, count, run) in [
             ("mutated inputs", inputs, mutate as Case),
+            ("mutated MCAP files", inputs, mutate_mcap),
+            ("mutated db3 files", inputs, mutate_database),
             ("killed while writing", KILLS[extent], kill as Case),
             ("limited file size", LIMITS[extent], limit as Case),
         ] {
+            if args.only.as_deref().is_some_and(|only| only != kind) {
+                continue;
+            }
             let bar = progress::progress_bar(kind, count as usize);
             let findings: Vec<Option<String>> = (0..count)
                 .into_par_iter()
@@ -85,7 +102,8 @@ pub fn evaluate(args: &Args, options: &Options) -> Result<Section> {
         title: "Robustness of the commands",
         extent: format!("{}, {inputs} mutated inputs each", seeds_text(&seeds)),
         conditions: "One file of a campaign, a model, a network, a mapping, a table or a design is mutated, and a command that \
-                     reads it runs. Defects: a panic or a signal, more than 2 GB of address space or 60 s, status 0 with \
+                     reads it runs. Bags are mutated at random or in their structure (records and chunks, pages and cells), and \
+                     imported or guessed. Defects: a panic or a signal, more than 2 GB of address space or 60 s, status 0 with \
                      an output that is no finite result. Commands that write are killed at a random time, or the size of \
                      their files is limited at random. Defects: a file that the next command cannot read, the previous file \
                      lost, status 0 without the whole file, files of the killed one after the next start. Specified: none."
@@ -120,6 +138,7 @@ fn prepare(dir: &Path) -> Result<()> {
     run("train model.toml c -o network.toml --epochs 1")?;
     run("design optimize --range 250 -o design.toml")?;
     fs::write(dir.join("mapping.toml"), MAPPING)?;
+    fs::write(dir.join("bag.toml"), bag_files::MAPPING)?;
     let rows = (0..500).map(|row| {
         let (time_s, weight_g) = (0.01 * f64::from(row), 10.0 * f64::from(row % 50));
         format!("{time_s},{},12.5,{},{weight_g}\n", 100 + row % 7, 3 * (row % 50))
@@ -128,7 +147,55 @@ fn prepare(dir: &Path) -> Result<()> {
         dir.join("table.csv"),
         "t,bx,by,bz,weight_g\n".to_owned() + &rows.collect::<String>(),
     )?;
-    run("import mapping.toml table.csv table.csv -o imported")
+    run("import mapping.toml table.csv table.csv -o imported")?;
+    // Unchanged, as no byte says what to change.
+    for (name, file) in
+        [("a.mcap", bag_files::mcap_file as BagFile), ("a.db3", bag_files::database_file)]
+    {
+        fs::write(dir.join(name), file(&mut Bytes::new(&[])))?;
+        run(&format!("import bag.toml {name} -o imported-{name}"))?;
+    }
+    Ok(())
+}
+
+/// Writes a bag with changes that bytes choose.
+type BagFile = fn(&mut Bytes) -> Vec<u8>;
+
+fn mutate_mcap(dir: &Path, rng: &mut ChaCha8Rng) -> Result<Option<String>> {
+    mutate_bag(dir, "a.mcap", bag_files::mcap_file, rng)
+}
+
+fn mutate_database(dir: &Path, rng: &mut ChaCha8Rng) -> Result<Option<String>> {
+    mutate_bag(dir, "a.db3", bag_files::database_file, rng)
+}
+
+/// A bag that is changed in its structure, at random, or both.
+fn mutate_bag(
+    dir: &Path,
+    name: &str,
+    file: BagFile,
+    rng: &mut ChaCha8Rng,
+) -> Result<Option<String>> {
+    let story: Vec<u8> = match rng.random_range(0..4) {
+        0 => Vec::new(),
+        _ => (0..64).map(|_| rng.random()).collect(),
+    };
+    let mut content = file(&mut Bytes::new(&story));
+    if story.is_empty() || rng.random_range(0..4) == 0 {
+        content = mutated(&content, rng);
+    }
+    fs::write(dir.join(name), content)?;
+    let line = match rng.random_range(0..3) {
+        0 => format!("import --guess {name} -o g.toml --json"),
+        _ => format!("import bag.toml {name} -o i --json"),
+    };
+    let defect = read_mutated(dir, &line)?.map(|defect| format!("{line}: {defect}"));
+    if defect.is_some() {
+        let kept = std::env::temp_dir().join(format!("defect-{}-{name}", rng.random::<u64>()));
+        fs::copy(dir.join(name), &kept)?;
+        eprintln!("the bag of this defect is {}", kept.display());
+    }
+    Ok(defect)
 }
 
 const MAPPING: &str = r#"description = "a table"
@@ -201,16 +268,21 @@ fn mutate(dir: &Path, rng: &mut ChaCha8Rng) -> Result<Option<String>> {
     let before = fs::read(&path)?;
     fs::write(&path, mutated(&before, rng))?;
     let line = commands[rng.random_range(0..commands.len())];
+    let defect = read_mutated(dir, line)?;
+    Ok(defect.map(|defect| format!("{line}, {file} mutated: {defect}")))
+}
+
+/// Runs a command that reads a mutated file.
+fn read_mutated(dir: &Path, line: &str) -> Result<Option<String>> {
     let ended = execute(dir, line, None, None)?;
-    let defect = ended.defect().or_else(|| {
+    Ok(ended.defect().or_else(|| {
         let is_result = || {
             let result: Value = serde_json::from_str(&ended.output).ok()?;
             (result.is_object() && is_plausible(&result)).then_some(())
         };
         (ended.status.success() && is_result().is_none())
             .then(|| "status 0 with nonsense".to_owned())
-    });
-    Ok(defect.map(|defect| format!("{line}, {file} mutated: {defect}")))
+    }))
 }
 
 /// Whether all numbers are finite and none is absurd.
@@ -262,7 +334,9 @@ fn mutated(before: &[u8], rng: &mut ChaCha8Rng) -> Vec<u8> {
             2 => drop(bytes.drain(at..end_of(at, b'\n'))),
             3 => {
                 let line = bytes[at..end_of(at, b'\n')].to_vec();
-                bytes.splice(at..at, line.repeat(rng.random_range(1..1000)));
+                // A bag has long lines.
+                let count = rng.random_range(1..1000).min(1 + MAX_REPEATED / line.len().max(1));
+                bytes.splice(at..at, line.repeat(count));
             }
             4 => {
                 let token = TOKENS[rng.random_range(0..TOKENS.len())];

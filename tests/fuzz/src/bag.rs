@@ -1,4 +1,5 @@
-//! MCAP files: message definitions and messages of ROS 2, and JSON, to tables.
+//! Bags to tables: MCAP files with message definitions and messages of ROS 2 and JSON, and MCAP files and databases with changes
+//! where their structure is.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -6,6 +7,7 @@ use std::path::Path;
 
 use model_export::recordings::mcap::{Join, Undecodable, join_topics, read_topics};
 
+use super::bag_files;
 use super::bytes::{Bytes, change};
 
 /// A definition with nested types, arrays, text and times.
@@ -39,7 +41,29 @@ impl Tally {
     }
 }
 
-/// One file: tables of equal columns, or an error.
+/// One MCAP file with changed records.
+pub fn read_mcap(bytes: &[u8]) -> Tally {
+    read_file("a.mcap", &bag_files::mcap_file(&mut Bytes::new(bytes)))
+}
+
+/// One database with changed pages.
+pub fn read_database(bytes: &[u8]) -> Tally {
+    read_file("a.db3", &bag_files::database_file(&mut Bytes::new(bytes)))
+}
+
+fn read_file(name: &str, content: &[u8]) -> Tally {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = folder.path().join(name);
+    std::fs::write(&path, content).expect("the file");
+    // As a proposal of a mapping reads it.
+    let _ = read_topics(&path, |_| true, Undecodable::Skip);
+    let tally = tables(&path);
+    let files = std::fs::read_dir(folder.path()).expect("the folder").count();
+    assert_eq!(files, 1, "files beside the bag");
+    tally
+}
+
+/// One file with messages of a definition.
 pub fn read(bytes: &[u8]) -> Tally {
     let mut bytes = Bytes::new(bytes);
     let kind = bytes.byte();
@@ -52,8 +76,13 @@ pub fn read(bytes: &[u8]) -> Tally {
         file[at] = bytes.byte();
         std::fs::write(&path, file).expect("the file");
     }
+    tables(&path)
+}
+
+/// Tables of equal columns, or an error.
+fn tables(path: &Path) -> Tally {
     let mut tally = Tally::default();
-    let topics = match read_topics(&path, |_| true, Undecodable::Refuse) {
+    let topics = match read_topics(path, |_| true, Undecodable::Refuse) {
         Ok(topics) => topics,
         Err(error) => {
             assert!(!error.to_string().trim().is_empty());
@@ -74,8 +103,7 @@ pub fn read(bytes: &[u8]) -> Tally {
         names.iter().map(|name| (name.as_str(), None)).collect();
     for join in [Join::EveryRow, Join::Once] {
         let Some((clock, _)) = columns.first() else { break };
-        let text =
-            join_topics(&path, &topics, clock, &columns, join).expect("its own columns").text;
+        let text = join_topics(path, &topics, clock, &columns, join).expect("its own columns").text;
         let rows = topics[0].messages();
         assert_eq!(text.split(|byte| *byte == b'\n').count(), rows + 2);
         tally.joined += columns.len() as u32;

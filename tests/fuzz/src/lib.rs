@@ -1,7 +1,8 @@
 //! What comes from outside, into the gripper's code: one function for each way in. Each takes any bytes,
 //! makes a story of them, and panics where the gripper breaks a promise.
 //!
-//! - [`bag`]: MCAP files, as ROS 2 bags are.
+//! - [`bag`]: bags of ROS 2, as MCAP files and as databases.
+//! - [`bag_files`]: bags with changes where their structure is.
 //! - [`blob`]: encoded calibrations, to forces.
 //! - [`can`]: frames on the CAN bus, with their times.
 //! - [`serial`]: bytes on the serial line.
@@ -16,6 +17,7 @@
 //! - [`check`]: checksums and stuffing by their definitions, beside the tables of the gripper's libraries.
 
 pub mod bag;
+pub mod bag_files;
 pub mod blob;
 pub mod bytes;
 pub mod can;

@@ -6,31 +6,28 @@
 //! messages (`header.stamp`) are in nanoseconds.
 
 mod decode;
+mod limits;
 mod recording;
+mod records;
 mod sqlite;
 mod writer;
 
 use std::collections::BTreeMap;
 use std::collections::hash_map::{Entry, HashMap};
-use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
-use mcap::io::MessageReader;
-use mcap::sans_io::LinearReaderOptions;
-
-use crate::input::{self, check_recording_values};
+use crate::input::MAX_COLUMNS;
 use crate::recordings::csv_table::GAP_STEPS;
 use crate::recordings::description::JoinedChannel;
 use crate::recordings::error::{DataError, ErrorKind, Location, closest_match};
 use crate::recordings::units::round_significant;
 use decode::Decoder;
+use limits::{Contents, Deadline, check_topics, check_values, max_values, total_bytes};
 pub use recording::{EstimatedForce, RecordingMcap, RecordingTopics, StateTopic, TopicColumns};
+use records::McapMessages;
 use sqlite::SqliteMessages;
 use writer::{MAPPING_KEY, UNITS_KEY};
 pub use writer::{MESSAGE_ENCODING, McapWriter, NumberTopic, SCHEMA_ENCODING, TopicSink};
-
-/// Longest record of a file; recorders write chunks of about 1 MB.
-const MAX_RECORD_BYTES: usize = 256 << 20;
 
 /// Column of the time at which the recorder received a message.
 const LOG_TIME: &str = "log_time";
@@ -104,24 +101,82 @@ impl Topic {
         };
         Some(unit.to_owned())
     }
+}
 
-    fn push(&mut self, path: &str, row: usize, next: &mut usize, value: f64) {
+/// A topic whose messages are being read.
+struct TopicReader {
+    topic: Topic,
+    /// Index of each column.
+    places: HashMap<String, usize>,
+}
+
+impl TopicReader {
+    fn new(channel: &mcap::Channel<'_>) -> Self {
+        let schema = channel.schema.as_ref();
+        let topic = Topic {
+            name: channel.topic.clone(),
+            schema: schema.map_or_else(String::new, |schema| schema.name.clone()),
+            metadata: channel.metadata.clone(),
+            columns: Vec::new(),
+        };
+        Self { topic, places: HashMap::new() }
+    }
+
+    /// Adds the row of a message; fails with what is beyond a limit, or the reason why it cannot be decoded.
+    fn read(
+        &mut self,
+        decoder: &Decoder,
+        message: &mcap::Message<'_>,
+        contents: &mut Contents,
+    ) -> Result<(), ErrorKind> {
+        let row = self.topic.messages();
+        let (mut next, mut failure) = (0, None);
+        let mut add = |path: &str, value: f64| {
+            if failure.is_none() {
+                failure = self.push(path, row, &mut next, value, contents).err();
+            }
+        };
+        add(LOG_TIME, message.log_time as f64);
+        add(PUBLISH_TIME, message.publish_time as f64);
+        let decoded = decoder.numbers(&message.data, &mut add);
+        decoded.map_err(|reason| ErrorKind::Undecodable { reason })?;
+        failure.map_or(Ok(()), Err)?;
+        contents.add_values(self.topic.columns.len())
+    }
+
+    fn push(
+        &mut self,
+        path: &str,
+        row: usize,
+        next: &mut usize,
+        value: f64,
+        contents: &mut Contents,
+    ) -> Result<(), ErrorKind> {
+        let columns = &mut self.topic.columns;
         // Consecutive messages have the same fields in the same order.
-        let index = match self.columns.get(*next) {
+        let index = match columns.get(*next) {
             Some(column) if column.path == path => *next,
-            _ => match self.columns.iter().position(|column| column.path == path) {
-                Some(index) => index,
+            _ => match self.places.get(path) {
+                Some(index) => *index,
                 None => {
-                    self.columns
-                        .push(TopicColumn { path: path.to_owned(), values: vec![f64::NAN; row] });
-                    self.columns.len() - 1
+                    contents.add_column(path, columns.len(), row)?;
+                    columns.push(TopicColumn { path: path.to_owned(), values: Vec::new() });
+                    self.places.insert(path.to_owned(), columns.len() - 1);
+                    columns.len() - 1
                 }
             },
         };
         *next = index + 1;
-        let values = &mut self.columns[index].values;
+        let values = &mut columns[index].values;
         values.resize(row, f64::NAN);
         values.push(value);
+        Ok(())
+    }
+
+    fn finish(mut self) -> Topic {
+        let rows = self.topic.messages();
+        self.topic.columns.iter_mut().for_each(|column| column.values.resize(rows, f64::NAN));
+        self.topic
     }
 }
 
@@ -181,74 +236,87 @@ pub enum Undecodable {
 /// Messages of a file.
 type Messages<'a> = Box<dyn Iterator<Item = Result<mcap::Message<'static>, DataError>> + 'a>;
 
-/// Messages of a file, with the checksums of its chunks verified.
-fn messages(file: &Path) -> Result<Messages<'_>, DataError> {
-    if is_named(file, "db3") {
-        return Ok(Box::new(SqliteMessages::open(file)?));
-    }
-    let options = LinearReaderOptions::default()
-        .with_validate_chunk_crcs(true)
-        .with_record_length_limit(MAX_RECORD_BYTES);
-    let reader = BufReader::new(input::open(file)?);
-    let damaged =
-        |error: mcap::McapError| ErrorKind::DamagedMcap(error.to_string()).at(Location::file(file));
-    let messages = MessageReader::new_with_options(reader, options);
-    Ok(Box::new(messages.map(move |message| message.map_err(damaged))))
+/// Messages of a file.
+fn messages(file: &Path, deadline: Deadline) -> Result<Messages<'_>, DataError> {
+    Ok(match is_named(file, "db3") {
+        true => Box::new(SqliteMessages::open(file, deadline)?),
+        false => Box::new(McapMessages::open(file)?),
+    })
+}
+
+/// Total length of the files of a bag in bytes.
+fn bag_bytes(path: &Path) -> Result<u64, DataError> {
+    Ok(total_bytes(files(path)?.iter().map(PathBuf::as_path)))
 }
 
 /// Reads the wanted topics of a bag.
 ///
 /// # Errors
-/// The bag cannot be read, is damaged, or has too many values; a wanted message cannot be decoded.
+/// The bag cannot be read, is damaged, or is beyond a limit; a wanted message cannot be decoded.
 pub fn read_topics(
     path: &Path,
     is_wanted: impl Fn(&str) -> bool,
     undecodable: Undecodable,
 ) -> Result<Vec<Topic>, DataError> {
-    let mut topics: Vec<Topic> = Vec::new();
-    let mut values = 0;
+    let bytes = bag_bytes(path)?;
+    let (mut contents, deadline) = (Contents::new(bytes), Deadline::new(bytes));
+    // `None` for a topic that is left out.
+    let mut topics: Vec<Option<TopicReader>> = Vec::new();
+    let mut numbers: HashMap<String, usize> = HashMap::new();
     for file in files(path)? {
         // Decoder and topic by channel.
         let mut channels: HashMap<u16, Option<(Decoder, usize)>> = HashMap::new();
-        for message in messages(&file)? {
+        for message in messages(&file, deadline)? {
             let message = message?;
             let channel = &message.channel;
-            let failed = |reason: String| {
-                ErrorKind::Undecodable { reason }
-                    .at(Location::file(&file).column(channel.topic.as_str()))
-            };
+            let at_file = |kind: ErrorKind| kind.at(Location::file(&file));
+            let at_topic =
+                |kind: ErrorKind| kind.at(Location::file(&file).column(channel.topic.as_str()));
+            deadline.check().map_err(at_file)?;
             let known = match channels.entry(channel.id) {
                 Entry::Occupied(known) => known.into_mut(),
                 Entry::Vacant(vacant) => {
+                    // Messages in JSON do without.
+                    let definition =
+                        channel.schema.as_ref().filter(|_| channel.message_encoding != "json");
+                    if let Some(schema) = definition.filter(|_| is_wanted(&channel.topic)) {
+                        contents.add_definition(schema.data.len()).map_err(at_file)?;
+                    }
                     let decoder = is_wanted(&channel.topic).then(|| Decoder::new(channel));
                     vacant.insert(match decoder {
                         None => None,
-                        Some(Ok(decoder)) => Some((decoder, topic_index(&mut topics, channel))),
+                        Some(Ok(decoder)) => {
+                            let index =
+                                *numbers.entry(channel.topic.clone()).or_insert_with(|| {
+                                    topics.push(Some(TopicReader::new(channel)));
+                                    topics.len() - 1
+                                });
+                            check_topics(topics.len()).map_err(at_file)?;
+                            Some((decoder, index))
+                        }
                         Some(Err(_)) if undecodable == Undecodable::Skip => None,
-                        Some(Err(reason)) => return Err(failed(reason)),
+                        Some(Err(reason)) => {
+                            return Err(at_topic(ErrorKind::Undecodable { reason }));
+                        }
                     })
                 }
             };
             let Some((decoder, index)) = known else {
                 continue;
             };
-            let topic = &mut topics[*index];
-            let row = topic.messages();
-            let mut next = 0;
-            topic.push(LOG_TIME, row, &mut next, message.log_time as f64);
-            topic.push(PUBLISH_TIME, row, &mut next, message.publish_time as f64);
-            decoder
-                .numbers(&message.data, &mut |path, value| topic.push(path, row, &mut next, value))
-                .map_err(failed)?;
-            values += topic.columns.len();
-            check_recording_values(values, 1).map_err(|kind| kind.at(Location::file(&file)))?;
+            let Some(topic) = &mut topics[*index] else {
+                continue;
+            };
+            match topic.read(decoder, &message, &mut contents) {
+                Err(ErrorKind::TooManyBagValues { max }) => {
+                    return Err(at_file(ErrorKind::TooManyBagValues { max }));
+                }
+                Err(_) if undecodable == Undecodable::Skip => topics[*index] = None,
+                result => result.map_err(at_topic)?,
+            }
         }
     }
-    for topic in &mut topics {
-        let rows = topic.messages();
-        topic.columns.iter_mut().for_each(|column| column.values.resize(rows, f64::NAN));
-    }
-    Ok(topics)
+    Ok(topics.into_iter().flatten().map(TopicReader::finish).collect())
 }
 
 /// The mapping with which `import` reads a file of this project; `None` for files of others.
@@ -260,20 +328,9 @@ pub fn stated_mapping(path: &Path) -> Result<Option<String>, DataError> {
         return Ok(None);
     };
     // The writer of this project begins with a message of the topic that states it.
-    let first = messages(&file)?.next().transpose()?;
+    let deadline = Deadline::new(bag_bytes(path)?);
+    let first = messages(&file, deadline)?.next().transpose()?;
     Ok(first.and_then(|message| message.channel.metadata.get(MAPPING_KEY).cloned()))
-}
-
-fn topic_index(topics: &mut Vec<Topic>, channel: &mcap::Channel<'_>) -> usize {
-    topics.iter().position(|topic| topic.name == channel.topic).unwrap_or_else(|| {
-        topics.push(Topic {
-            name: channel.topic.clone(),
-            schema: channel.schema.as_ref().map_or_else(String::new, |schema| schema.name.clone()),
-            metadata: channel.metadata.clone(),
-            columns: Vec::new(),
-        });
-        topics.len() - 1
-    })
 }
 
 /// Best clock that all of these topics have: the time of the measurement where it is stated.
@@ -319,6 +376,12 @@ pub fn join_topics(
 ) -> Result<JoinedTopics, DataError> {
     let (clock_topic, clock_path) = find(path, topics, clock)?;
     let clock_ns = clock_topic.values(clock_path).unwrap_or_default();
+    let at_file = |kind: ErrorKind| kind.at(Location::file(path));
+    if columns.len() > MAX_COLUMNS {
+        return Err(at_file(ErrorKind::TooManyColumns { found: columns.len(), max: MAX_COLUMNS }));
+    }
+    let max = max_values(bag_bytes(path)?);
+    check_values(clock_ns.len(), columns.len(), max).map_err(at_file)?;
     let order = ascending(clock_ns);
     let row_ns: Vec<f64> = order.iter().map(|row| clock_ns[*row]).collect();
     let mut names = vec![clock];
