@@ -313,7 +313,7 @@ fn p_of_reduction(by_block: &[BlockChange], least: f64) -> f64 {
     }
 }
 
-/// Resamples of the blocks for [`inclusion`].
+/// Resamples of the blocks of time for the inclusion of an effect.
 pub const RESAMPLES: usize = 200;
 
 /// Share of the resamples of the blocks, with replacement, in which the held-out squared residual falls by more than [`MIN_GAIN`].
