@@ -6,7 +6,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use crate::effects::expression::ParameterRange;
-use crate::effects::{EffectTerm, Expression, find};
+use crate::effects::{EffectTerm, Expression, ParameterScope, find};
 use crate::fit::effect_size::{effect_sizes, first_parameter};
 use crate::fit::joint::JointFit;
 use crate::model_file::{FittedValue, digits};
@@ -76,15 +76,31 @@ impl EffectModel {
     }
 
     /// The effect. The covariates of a formula were validated when it was added.
+    ///
+    /// # Errors
+    /// There is no such effect, or a sensor does not have all its parameters: the file is of another version.
     pub fn term(&self) -> Result<EffectTerm, String> {
-        let Some(text) = &self.expression else {
-            let effect = find(&self.name).map_err(|error| error.to_string())?;
-            return Ok(EffectTerm::Catalogue(effect));
+        let term = match &self.expression {
+            None => EffectTerm::Catalogue(find(&self.name).map_err(|error| error.to_string())?),
+            Some(text) => {
+                let covariates = Expression::covariate_names(text);
+                let expression = Expression::parse(text, &self.ranges, &covariates);
+                EffectTerm::Expression(Arc::new(expression.map_err(|error| error.to_string())?))
+            }
         };
-        let covariates = Expression::covariate_names(text);
-        let expression = Expression::parse(text, &self.ranges, &covariates)
-            .map_err(|error| error.to_string())?;
-        Ok(EffectTerm::Expression(Arc::new(expression)))
+        let parameters = term.parameters(1);
+        let needed = parameters.iter().filter(|one| one.scope == ParameterScope::Campaign);
+        for (sensor, parameter) in
+            self.sensors.iter().flat_map(|sensor| needed.clone().map(move |one| (sensor, one)))
+        {
+            if !sensor.parameters.contains_key(parameter.name.as_ref()) {
+                let (number, name) = (sensor.number, &parameter.name);
+                return Err(format!(
+                    "its parameter {name} of sensor {number} is missing: repeat the fit"
+                ));
+            }
+        }
+        Ok(term)
     }
 
     /// Values at one sensor in the order of the parameters of `term`; `None` if one is missing.
@@ -121,4 +137,32 @@ fn sensor_effects(
             }
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn missing_parameter_of_an_effect_is_named() {
+        let value =
+            FittedValue { value: 0.1, std_error: 0.01, unit: "%".to_owned(), identifiable: true };
+        let mut model = EffectModel {
+            name: "demagnetisation".to_owned(),
+            expression: None,
+            ranges: Vec::new(),
+            quantity: String::new(),
+            value: 0.1,
+            std_error: 0.01,
+            unit: "%".to_owned(),
+            sensors: vec![SensorEffect {
+                number: 2,
+                parameters: ["impact", "slope"].map(|name| (name.to_owned(), value.clone())).into(),
+            }],
+        };
+        let error = model.term().unwrap_err();
+        assert_eq!(error, "its parameter at of sensor 2 is missing: repeat the fit");
+        model.sensors[0].parameters.insert("at".to_owned(), value);
+        assert_eq!(model.term().unwrap().name(), "demagnetisation");
+    }
 }

@@ -115,7 +115,7 @@ pub struct ParameterStore<F> {
     next: Option<u32>,
     /// The key of the newest record, which the next one repeats.
     key: Key,
-    /// Sequence of the newest damaged record that made the load doubtful: the next save exceeds it.
+    /// Sequence that the next save exceeds because of damaged records.
     damaged: Option<u32>,
 }
 
@@ -202,7 +202,7 @@ impl<F: NorFlash> ParameterStore<F> {
         // The slots that the next save would use.
         let following = found.last.map_or(0, |last| last.wrapping_add(1));
         let next = [following, Self::next_page(found.last)].map(|next| next % Self::SLOTS);
-        let (mut copies, mut is_damaged) = (0, false);
+        let (mut copies, mut is_damaged, mut has_damaged) = (0, false, false);
         self.damaged = None;
         let mut is_settled = found.last == found.finished;
         for slot in 0..Self::SLOTS {
@@ -218,12 +218,13 @@ impl<F: NorFlash> ParameterStore<F> {
                     let is_later = |newest| Self::is_later(slot, &record, &newest);
                     // An interrupted erasure before the first save leaves no marks.
                     let is_lost = record.stage > Stage::Begun || found.last.is_none();
-                    if found.newest.map_or(is_lost, is_later) {
-                        is_damaged = true;
-                        self.damaged = self.damaged.max(Self::sequence_of(slot, &record));
-                    }
+                    is_damaged |= found.newest.map_or(is_lost, is_later);
+                    has_damaged = true;
                 }
             }
+        }
+        if has_damaged {
+            self.damaged = self.last_damaged(found.last).await;
         }
         let (parameters, origin) = match found.newest {
             Some(newest) if is_damaged && newest.version <= VERSION => {
@@ -248,20 +249,42 @@ impl<F: NorFlash> ParameterStore<F> {
         LoadedParameters { parameters, key: self.key, origin, is_settled }
     }
 
+    /// Sequence of the newest of the damaged records that follow `last`, that of the valid ones, and each other so closely that one
+    /// would be later than the next save. Also those of the newest save: next to another one they are later.
+    async fn last_damaged(&mut self, mut last: Option<u32>) -> Option<u32> {
+        for _ in 0..Self::SLOTS {
+            let before = last;
+            for slot in 0..Self::SLOTS {
+                let Slot::Damaged(record) = self.slot(slot).await else { continue };
+                let sequence = Self::sequence_of(slot, &record);
+                // The next save may skip pages.
+                if last.is_none_or(|last| Self::is_ahead(sequence, last, 2)) {
+                    last = last.max(sequence);
+                }
+            }
+            if last == before {
+                break;
+            }
+        }
+        last
+    }
+
     /// Whether a damaged record was written after the newest valid one, by another save.
     fn is_later(slot: u32, damaged: &DamagedRecord, newest: &ValidRecord) -> bool {
         if damaged.save == Some(newest.save) {
             return false;
         }
-        let is_newer = |sequence: u32| {
-            let ahead = sequence.wrapping_sub(newest.sequence);
-            (1..=PAGES * Self::SLOTS).contains(&ahead)
-        };
         // A page is written from its beginning.
         let is_behind = Self::page(slot) == Self::page(newest.sequence)
             && slot > newest.sequence % Self::SLOTS
             && damaged.stage > Stage::Begun;
-        is_behind || Self::sequence_of(slot, damaged).is_some_and(is_newer)
+        is_behind || Self::is_ahead(Self::sequence_of(slot, damaged), newest.sequence, 1)
+    }
+
+    /// Whether a sequence follows `last` within a few turns of the ring, or so many times as many.
+    fn is_ahead(sequence: Option<u32>, last: u32, times: u32) -> bool {
+        let ahead = sequence.map(|sequence| sequence.wrapping_sub(last));
+        ahead.is_some_and(|ahead| (1..=times * PAGES * Self::SLOTS).contains(&ahead))
     }
 
     /// Sequence of a damaged record: by its save, which has a checksum, else as it reads.
