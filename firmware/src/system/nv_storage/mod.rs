@@ -291,7 +291,9 @@ impl<F: NorFlash> ParameterStore<F> {
     fn sequence_of(slot: u32, damaged: &DamagedRecord) -> Option<u32> {
         // The first sequence of this slot from there.
         let sequence_from = |save: u32| save.wrapping_add(slot.wrapping_sub(save) % Self::SLOTS);
-        let sequence = damaged.save.map(sequence_from).or(damaged.sequence)?;
+        // Without marks it is what an interrupted erasure has left, and may read as any value.
+        let as_read = damaged.sequence.filter(|_| damaged.stage > Stage::Begun);
+        let sequence = damaged.save.map(sequence_from).or(as_read)?;
         // Beyond the life of the flash it is none.
         (sequence % Self::SLOTS == slot && sequence < u32::MAX / 2).then_some(sequence)
     }
