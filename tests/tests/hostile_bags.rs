@@ -36,5 +36,5 @@ fn hostile_bags_are_read_or_refused_with_a_sentence() {
         }
         assert!(guess.is_ok() || refusal.is_some(), "{name}");
     }
-    assert_eq!(names(&folder), before, "files beside the bags");
+    assert_eq!(names(&folder), before, "files next to the bags");
 }

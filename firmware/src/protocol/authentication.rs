@@ -7,11 +7,11 @@
 //! of which the lower 24 are transmitted: it cannot be exhausted, and 2,047 messages in a row may be lost.
 //!
 //! The owner of a session advances the counter by steps that only holders of the key can compute ([`SessionMac::following`]):
-//! by its counter the gripper tells a message from a forged one before it checks the code, so that a flood of forged ones
+//! by its counter the gripper recognises its message before it checks the code, so that a flood of forged ones
 //! cannot use up the checks. A counter of another owner's choice is valid, but without that protection.
 //!
 //! A code has 40 bits, which leaves a frame of eight bytes for code and counter. A random code is accepted with a probability of
-//! 2^-40. Under a flood on a full bus at most 635 are checked in a second beside 50 messages of the owner
+//! 2^-40. Under a flood on a full bus at most 635 are checked in a second in addition to 50 messages of the owner
 //! ([`crate::protocol::session`], `SECURITY.md`): one forged message in 54 years.
 
 use aes::Aes128;

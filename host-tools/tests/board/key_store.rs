@@ -96,6 +96,20 @@ fn damaged_store_refuses_motion_and_is_not_written() {
     }
 }
 
+/// Before and after a restart nothing is wrong with the store, and a request for motion has these replies.
+fn is_sound_after_restarts(
+    (mut board, mut host, mut ms): (VirtualTimeBoard, CanHost, u64),
+    replies: [u8; 2],
+) {
+    for _ in 0..2 {
+        assert!(!is_unsound(&board));
+        assert_eq!(arm(&mut board, &mut host, &mut ms), replies);
+        board.power_cycle();
+        ms += STEP_MS;
+        run_to(&mut board, &mut host, ms);
+    }
+}
+
 #[test]
 fn button_accepts_what_a_damaged_store_has_left() {
     let (mut board, mut host, mut ms) = damaged();
@@ -103,14 +117,7 @@ fn button_accepts_what_a_damaged_store_has_left() {
     ms += STEP_MS;
     run_to(&mut board, &mut host, ms);
     board.button.set(false);
-    for _ in 0..2 {
-        assert!(!is_unsound(&board));
-        let armed = [status::CHALLENGE, status::DONE];
-        assert_eq!(arm(&mut board, &mut host, &mut ms), armed);
-        board.power_cycle();
-        ms += STEP_MS;
-        run_to(&mut board, &mut host, ms);
-    }
+    is_sound_after_restarts((board, host, ms), [status::CHALLENGE, status::DONE]);
 }
 
 #[test]
@@ -121,15 +128,8 @@ fn new_key_replaces_a_damaged_store() {
     ms += STEP_MS;
     run_to(&mut board, &mut host, ms);
     board.button.set(false);
-    for _ in 0..2 {
-        assert!(!is_unsound(&board));
-        // This host has no key.
-        let refused = [status::CHALLENGE, status::REFUSED];
-        assert_eq!(arm(&mut board, &mut host, &mut ms), refused);
-        board.power_cycle();
-        ms += STEP_MS;
-        run_to(&mut board, &mut host, ms);
-    }
+    // This host has no key.
+    is_sound_after_restarts((board, host, ms), [status::CHALLENGE, status::REFUSED]);
 }
 
 /// The line of a gripper without a key: anybody may store the first one, and nobody wears the flash without one.

@@ -330,8 +330,8 @@ impl EffectTerm {
         self.effect().is_some_and(|effect| effect.is_transient)
     }
 
-    /// True where it acts at an instant of the campaign, which is searched, and not by recordings.
-    pub fn is_at_instant(&self) -> bool {
+    /// True for a single event, at an instant of the campaign that is searched: no parameter is of a recording.
+    pub fn is_event(&self) -> bool {
         let parameters = self.effect().map_or(&[][..], |effect| effect.parameters);
         let is_by_recording =
             |one: &EffectParameter| one.scope == ParameterScope::EachLaterRecording;

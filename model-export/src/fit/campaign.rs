@@ -66,7 +66,7 @@ pub struct FitSetup {
 pub const SEARCH_ROWS: usize = 600;
 /// Residual in noise floors up to which a fit with initial states is at its minimum.
 const SETTLED: f64 = 1.1;
-/// Rows of each recording on which they are searched again.
+/// Rows of each recording on which initial states are searched again.
 const STATE_ROWS: usize = 2400;
 /// Share of the error by which that search must be better than the one on a sample.
 const CLEARLY: f64 = 0.01;
@@ -240,7 +240,7 @@ impl FitSetup {
         self.fit_near(near.as_ref(), effects, (split, options), done)
     }
 
-    /// The same, of many rows from the fit `near` of these effects to a sample.
+    /// The same, from the fit `near` of these effects to a sample of the rows; without one, all rows are searched.
     pub fn fit_near(
         &self,
         near: Option<&JointFit>,

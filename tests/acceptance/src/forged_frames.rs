@@ -25,7 +25,7 @@ const KNOWN_SESSIONS: usize = 10;
 const KNOWN_COMMANDS: usize = 200;
 /// Random frames in a millisecond: the rate of a full bus.
 const PER_MS: u64 = 8;
-/// Time between two crafted requests in ms: the gripper checks two codes in 10 ms beside those of its owner's counters.
+/// Time between two crafted requests in ms: the gripper checks two codes in 10 ms, and those of its owner's counters.
 const CRAFT_MS: u64 = 5;
 /// Period of the honest host's commands in ms.
 const COMMAND_MS: u64 = 50;

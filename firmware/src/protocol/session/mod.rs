@@ -6,8 +6,8 @@
 //! [`Authentication`] on the same line. What needs one is in [`crate::protocol::rules`].
 //!
 //! Frames without a valid code are counted and end nothing. Codes are checked at a limited rate on each line. Those of the owner
-//! are told from forged ones before that by their counters, which others cannot predict ([`SessionMac::following`]), and are
-//! checked however many forged ones come in between.
+//! are recognised before that by their counters, which others cannot predict ([`SessionMac::following`]), and are checked however
+//! many forged ones come in between.
 //!
 //! A session ends by [`op::END`], after [`EXPIRY_MS`] without a valid request, and, if it is armed, when a fault forbids it. Another host
 //! can open one once the owner was silent for [`TAKEOVER_MS`] and nothing moves.

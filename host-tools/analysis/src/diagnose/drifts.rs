@@ -4,7 +4,6 @@
 use model_export::effects::{EffectTerm, ParameterScope, Signature};
 use model_export::fit::campaign::FitSetup;
 use model_export::fit::rows::RecordingRows;
-use model_export::recordings::columns::Axis;
 
 use crate::diagnose::formulas::candidate::columns_at;
 use crate::diagnose::formulas::chain_points::ChainPoint;
@@ -27,14 +26,10 @@ pub fn equivalent_drifts(
     if setup.recordings() < 2 || scopes().all(|scope| scope != ParameterScope::EachLaterRecording) {
         return Vec::new();
     }
-    let forces = || setup.rows.iter().flat_map(|rows| &rows.forces);
-    let axes = [Axis::X, Axis::Z].map(|axis| forces().any(|(_, own)| *own == axis));
     let windows = windows(setup);
-    let points: Vec<ChainPoint> = ChainPoint::all(setup.design.is_some(), axes)
-        .into_iter()
-        // A gain is the strength of the magnet by another name.
-        .filter(|point| !matches!(point, ChainPoint::Gain | ChainPoint::AxisGain(_)))
-        .collect();
+    let (mut points, _) = ChainPoint::of(setup);
+    // A gain changes the field as the strength of the magnet does, whatever the recordings.
+    points.retain(|point| !matches!(point, ChainPoint::Gain | ChainPoint::AxisGain(_)));
     let scan = |without: &[EffectTerm]| {
         Scan::new(of_model(setup, model, without, &points, &windows, block_s))
     };

@@ -52,7 +52,7 @@ pub fn find(
     // An event at an instant has more coefficients than the difference, and says less.
     let scores: Vec<CandidateScore> = testable
         .par_iter()
-        .filter(|candidate| !candidate.is_at_instant())
+        .filter(|candidate| !candidate.is_event())
         .filter_map(|candidate| around.score(candidate))
         .collect();
     let found = recording_differences(setup, &fitted.effects, &values, &scores);

@@ -84,7 +84,9 @@ pub struct ImplausibleFit {
 pub enum DropReason {
     /// Next to the later steps the error does not rise without it.
     Needless,
-    /// It does not lower the error of all rows in every fold.
+    /// Formulas from the initial model leave less, or as much with fewer terms.
+    Replaced,
+    /// It lowers the error of all rows by too little, or not in every fold.
     NotOnAllRows,
     /// The error of the field is at the floor without it, and that of the forces hardly rises.
     IrrelevantForces,
@@ -401,7 +403,7 @@ impl FittedModel {
     pub fn is_plausible(&self, effect: &EffectTerm, recordings: usize) -> bool {
         self.size_of(effect, recordings).is_none_or(|size| {
             let tiny = size.largest < MIN_MAGNITUDE * size.size.typical.abs();
-            size.is_plausible() && (effect.is_at_instant() || size.is_determined()) && !tiny
+            size.is_plausible() && (effect.is_event() || size.is_determined()) && !tiny
         })
     }
 

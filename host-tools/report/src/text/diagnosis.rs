@@ -187,7 +187,10 @@ pub fn dropped_steps(diagnosis: &Diagnosis) -> String {
     let of = |step: &DroppedStep| {
         let why = match step.reason {
             DropReason::Needless => "next to the other steps the error does not rise without it",
-            DropReason::NotOnAllRows => "it does not lower the error of all rows in every fold",
+            DropReason::Replaced => "formulas leave less, or as much with fewer terms",
+            DropReason::NotOnAllRows => {
+                "it lowers the error of all rows by too little, or not in every fold"
+            }
             DropReason::IrrelevantForces => {
                 "the field is at the floor without it, and the squared error of the forces rises by less than 1 %"
             }

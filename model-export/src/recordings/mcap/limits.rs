@@ -1,4 +1,4 @@
-//! Limits of bags, beside those of all inputs ([`crate::input`]). Work and memory are bounded by the length of the file: a small one
+//! Limits of bags, in addition to those of all inputs ([`crate::input`]). Work and memory are bounded by the length of the file: a small one
 //! cannot take many times its size.
 
 use std::path::Path;

@@ -1,5 +1,5 @@
 //! Bags of ROS 2 in SQLite (`.db3`, the default until ROS 2 Humble), read as channels and messages of MCAP. Only tables are read, and
-//! nothing that a file of others defines is run; the file is opened as one that does not change, so that nothing is written beside it.
+//! nothing that a file of others defines is run; the file is opened as one that does not change, so that nothing is written next to it.
 
 use std::borrow::Cow;
 use std::collections::{BTreeMap, HashMap};
@@ -163,7 +163,7 @@ impl<'a> SqliteMessages<'a> {
     }
 }
 
-/// A recorder that was interrupted leaves messages beside the file; they are only read from there by writing.
+/// A recorder that was interrupted leaves messages next to the file; they are only read from there by writing.
 fn check_completed(file: &Path) -> Result<(), DataError> {
     let name = file.file_name().unwrap_or_default();
     for end in ["-wal", "-journal"] {

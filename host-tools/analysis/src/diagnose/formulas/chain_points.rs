@@ -1,6 +1,8 @@
 //! Points of the chain from force to field at which a formula can act, and the response of the field to each.
 
+use model_export::fit::campaign::FitSetup;
 use model_export::physics::FieldResponse;
+use model_export::recordings::columns::Axis;
 use nalgebra::{Matrix3, Vector3};
 
 /// A point of the chain. Its name is the target of a formula.
@@ -72,6 +74,13 @@ impl ChainPoint {
             _ => true,
         };
         points.iter().copied().filter(is_possible).collect()
+    }
+
+    /// Points of a setup, and whether a lateral and a longitudinal force were recorded in it.
+    pub fn of(setup: &FitSetup) -> (Vec<Self>, [bool; 2]) {
+        let forces = || setup.rows.iter().flat_map(|rows| &rows.forces);
+        let axes = [Axis::X, Axis::Z].map(|axis| forces().any(|(_, own)| *own == axis));
+        (Self::all(setup.design.is_some(), axes), axes)
     }
 
     /// Sets of several points of `points`.

@@ -30,7 +30,7 @@ use model_export::fit::campaign::FitSetup;
 use model_export::fit::score_test::{CandidateScore, ScoreTest};
 use model_export::model_file::EffectModel;
 use model_export::recordings::Campaign;
-use model_export::recordings::columns::{Axis, STATOR_CURRENTS};
+use model_export::recordings::columns::STATOR_CURRENTS;
 use rayon::prelude::*;
 
 use crate::compare::AT_FLOOR;
@@ -187,7 +187,7 @@ pub fn discover(
         }
     };
     let replaced = selection.steps.drain(steps.min(selection.steps.len())..);
-    let replaced: Vec<_> = replaced.map(|step| step.dropped(DropReason::Needless)).collect();
+    let replaced: Vec<_> = replaced.map(|step| step.dropped(DropReason::Replaced)).collect();
     selection.dropped.extend(replaced);
     selection.stages.truncate(1 + steps);
     selection.stages.extend(found.stages);
@@ -326,8 +326,7 @@ impl<'a> FormulaSearch<'a> {
         block_s: f64,
         options: FitOptions,
     ) -> Self {
-        let forces = || setup.rows.iter().flat_map(|rows| &rows.forces);
-        let axes = [Axis::X, Axis::Z].map(|axis| forces().any(|(_, own)| *own == axis));
+        let (points, axes) = ChainPoint::of(setup);
         let covariates: Vec<String> = varying_covariates(campaign, axes)
             .into_iter()
             .filter(|name| !STATOR_CURRENTS.contains(&name.as_str()))
@@ -338,14 +337,7 @@ impl<'a> FormulaSearch<'a> {
             false => Vec::new(),
         };
         let dictionary = Dictionary::new(setup, &covariates, &harmonics, &windows);
-        Self {
-            setup,
-            options,
-            points: ChainPoint::all(setup.design.is_some(), axes),
-            windows,
-            block_s,
-            dictionary,
-        }
+        Self { setup, options, points, windows, block_s, dictionary }
     }
 
     /// Number of terms.
