@@ -178,7 +178,10 @@ fn step_table(diagnosis: &Diagnosis) -> String {
     }
     terminal::right_align(&mut table, 1);
     let rise = rising_force(&diagnosis.staircase).map_or_else(String::new, |note| paragraph(&note));
-    let dropped = paragraph(&dropped_steps(diagnosis));
+    let dropped = match dropped_steps(diagnosis) {
+        text if text.is_empty() => text,
+        text => paragraph(&text),
+    };
     format!("{table}\n{}{rise}{dropped}\n", paragraph(STEP_NOTE))
 }
 
@@ -1397,6 +1400,24 @@ mod tests {
         let page = unwrapped(&uncolored(&diagnosis));
         assert!(page.contains("AT NOISE FLOOR with what was found"));
         assert!(!page.contains("UNEXPLAINED"));
+    }
+
+    #[test]
+    fn dropped_steps_are_listed_with_their_reason() {
+        let dropped =
+            |step: &str, reason| DroppedStep { step: step.to_owned(), gain: 0.021, reason };
+        let mut diagnosis = full();
+        assert!(!uncolored(&diagnosis).contains("Dropped"));
+        diagnosis.dropped = vec![
+            dropped("creep", DropReason::NotOnAllRows),
+            dropped("hysteresis", DropReason::Replaced),
+        ];
+        let page = unwrapped(&uncolored(&diagnosis));
+        let expected = "Dropped: creep (gain 2.1 % when it was accepted): it lowers the error of all rows by too little, or not in \
+                        every fold. Dropped: hysteresis (gain 2.1 % when it was accepted): formulas leave less, or as much with \
+                        fewer terms.";
+        assert!(page.contains(expected), "{page}");
+        assert_eq!(to_json(&diagnosis)["dropped"][1]["reason"], "replaced");
     }
 
     #[test]
