@@ -9,6 +9,7 @@ use crate::input::{
     MAX_TIME_US, TableLimit,
 };
 use crate::recordings::error::{DataError, ErrorKind, Location, Notice};
+use crate::recordings::table_format::{EXAMINED_BYTES, TableFormat, text_of};
 
 /// A row of numbers; an empty cell is NaN.
 #[derive(Clone, Debug, PartialEq)]
@@ -40,8 +41,8 @@ const BUFFER_BYTES: usize = 1 << 16;
 pub struct CsvReader {
     path: PathBuf,
     reader: csv::Reader<BoundedReader>,
-    /// Whether decimals may follow a comma: where cells are separated by semicolons.
-    has_decimal_commas: bool,
+    format: TableFormat,
+    is_at_header: bool,
 }
 
 /// Separators of foreign tables besides the comma.
@@ -79,51 +80,48 @@ impl CsvReader {
     /// # Errors
     /// It cannot be opened, or is not compressed although its name says so.
     pub fn open(path: &Path) -> Result<Self, DataError> {
-        Self::open_separated(path, ',')
+        Ok(Self::new(path, bytes(path)?, TableFormat::default()))
     }
 
-    /// The same for a foreign table, whose cells may be separated by semicolons or tabs.
+    /// The same for a foreign table, which may have another [`TableFormat`].
     ///
     /// # Errors
     /// As [`CsvReader::open`].
     pub fn open_foreign(path: &Path) -> Result<Self, DataError> {
-        let mut header = csv::ByteRecord::new();
-        Self::open(path)?.read(&mut header)?;
-        Self::open_separated(path, foreign_separator(&column_names(&header)).unwrap_or(','))
-    }
-
-    fn open_separated(path: &Path, separator: char) -> Result<Self, DataError> {
-        let unreadable = |error| ErrorKind::Unreadable(error).at(Location::file(path));
-        let mut file = input::open(path)?;
-        if !is_compressed(path) {
-            return Ok(Self::new(path, BoundedReader::new(Box::new(file), None), separator));
+        let mut start = Vec::new();
+        if let Err(error) = bytes(path)?.take(EXAMINED_BYTES).read_to_end(&mut start) {
+            return Err(read_error(error.into()).at(Location::file(path).line(1)));
         }
-        let mut magic = [0; 2];
-        let length = file.read(&mut magic).map_err(unreadable)?;
-        file.rewind().map_err(unreadable)?;
-        if length == 2 && magic != GZIP_MAGIC {
-            return Err(ErrorKind::NotGzip.at(Location::file(path)));
+        let is_whole = (start.len() as u64) < EXAMINED_BYTES;
+        let mut reader = Self::new(path, bytes(path)?, TableFormat::of(&start, is_whole));
+        let mut record = csv::ByteRecord::new();
+        for _ in 0..reader.format.preamble {
+            reader.read_record(&mut record)?;
         }
-        let compressed = file.metadata().map_err(unreadable)?.len();
-        let decoder = Box::new(flate2::read::MultiGzDecoder::new(file));
-        Ok(Self::new(path, BoundedReader::new(decoder, Some(compressed)), separator))
+        Ok(reader)
     }
 
     /// Reads a table from its text; `path` is that of its source.
     pub fn from_text(path: &Path, text: Vec<u8>) -> Self {
-        Self::new(path, BoundedReader::new(Box::new(Cursor::new(text)), None), ',')
+        let bytes = BoundedReader::new(Box::new(Cursor::new(text)), None);
+        Self::new(path, bytes, TableFormat::default())
     }
 
-    fn new(path: &Path, input: BoundedReader, separator: char) -> Self {
+    fn new(path: &Path, input: BoundedReader, format: TableFormat) -> Self {
         let reader = csv::ReaderBuilder::new()
             .has_headers(false)
             .flexible(true)
             // Loggers write about themselves before the header.
             .comment(Some(b'#'))
-            .delimiter(u8::try_from(separator).unwrap_or(b','))
+            .delimiter(format.separator)
             .buffer_capacity(BUFFER_BYTES)
             .from_reader(input);
-        Self { path: path.to_path_buf(), reader, has_decimal_commas: separator == ';' }
+        Self { path: path.to_path_buf(), reader, format, is_at_header: true }
+    }
+
+    /// How the table writes its values.
+    pub fn format(&self) -> &TableFormat {
+        &self.format
     }
 
     /// Line of the next record.
@@ -137,6 +135,20 @@ impl CsvReader {
     /// # Errors
     /// The file cannot be read, or exceeds a limit; the error has the line.
     pub fn read(&mut self, record: &mut csv::ByteRecord) -> Result<bool, DataError> {
+        let found = self.read_record(record)?;
+        if std::mem::take(&mut self.is_at_header) {
+            if self.format.has_units {
+                let mut units = csv::ByteRecord::new();
+                self.read_record(&mut units)?;
+                *record = TableFormat::with_units(record, &units);
+            }
+        } else if !self.format.is_plain() {
+            *record = record.iter().map(|cell| self.format.plain(cell)).collect();
+        }
+        Ok(found)
+    }
+
+    fn read_record(&mut self, record: &mut csv::ByteRecord) -> Result<bool, DataError> {
         let place = Location::file(&self.path).line(self.line());
         self.reader.get_mut().start_row(BUFFER_BYTES as u64);
         let found = match self.reader.read_byte_record(record) {
@@ -151,9 +163,6 @@ impl CsvReader {
             let kind = ErrorKind::TooManyColumns { found: record.len(), max: MAX_COLUMNS };
             return Err(kind.at(place));
         }
-        if self.has_decimal_commas && record.iter().any(has_decimal_comma) {
-            *record = record.iter().map(with_decimal_point).collect();
-        }
         Ok(found)
     }
 }
@@ -164,22 +173,27 @@ fn foreign_separator(header: &[String]) -> Option<char> {
     FOREIGN_SEPARATORS.into_iter().find(|separator| only.contains(*separator))
 }
 
-/// Whether a cell is a number with a comma before its decimals.
-fn has_decimal_comma(cell: &[u8]) -> bool {
-    cell.contains(&b',') && cell.iter().all(|byte| b"0123456789,+-eE ".contains(byte))
-}
-
-fn with_decimal_point(cell: &[u8]) -> Vec<u8> {
-    let is_decimal = has_decimal_comma(cell);
-    cell.iter().map(|&byte| if is_decimal && byte == b',' { b'.' } else { byte }).collect()
+/// Bytes of a regular file, decompressed where its name ends in `.gz`.
+fn bytes(path: &Path) -> Result<BoundedReader, DataError> {
+    let unreadable = |error| ErrorKind::Unreadable(error).at(Location::file(path));
+    let mut file = input::open(path)?;
+    if !is_compressed(path) {
+        return Ok(BoundedReader::new(Box::new(file), None));
+    }
+    let mut magic = [0; 2];
+    let length = file.read(&mut magic).map_err(unreadable)?;
+    file.rewind().map_err(unreadable)?;
+    if length == 2 && magic != GZIP_MAGIC {
+        return Err(ErrorKind::NotGzip.at(Location::file(path)));
+    }
+    let compressed = file.metadata().map_err(unreadable)?.len();
+    let decoder = Box::new(flate2::read::MultiGzDecoder::new(file));
+    Ok(BoundedReader::new(decoder, Some(compressed)))
 }
 
 /// Names of the columns in a header record.
 pub fn column_names(header: &csv::ByteRecord) -> Vec<String> {
-    let name = |cell| {
-        let name = String::from_utf8_lossy(cell);
-        name.trim_start_matches('\u{feff}').trim().to_owned()
-    };
+    let name = |cell| text_of(cell).trim_start_matches('\u{feff}').trim().to_owned();
     header.iter().map(name).collect()
 }
 
@@ -227,6 +241,7 @@ pub struct CsvTable {
     path: PathBuf,
     reader: CsvReader,
     header: Vec<String>,
+    header_line: u64,
     record: csv::ByteRecord,
     /// `None` where rows have no time.
     time_column: Option<usize>,
@@ -263,24 +278,25 @@ impl CsvTable {
 
     fn new(path: &Path, mut reader: CsvReader) -> Result<Self, DataError> {
         let mut record = csv::ByteRecord::new();
+        let header_line = reader.line();
+        let place = Location::file(path).line(header_line);
         if !reader.read(&mut record)? {
             return Err(ErrorKind::Empty.at(Location::file(path)));
         }
-        let is_text = record.iter().all(|cell| {
-            std::str::from_utf8(cell)
-                .is_ok_and(|cell| !cell.contains(|c: char| c.is_control() && !c.is_whitespace()))
-        });
-        if !is_text {
-            return Err(ErrorKind::NotText.at(Location::file(path).line(1)));
+        let is_binary = |cell: &[u8]| {
+            cell.iter().any(|byte| byte.is_ascii_control() && !byte.is_ascii_whitespace())
+        };
+        if record.iter().any(is_binary) {
+            return Err(ErrorKind::NotText.at(place));
         }
         let header = column_names(&record);
         if let Some(separator) = foreign_separator(&header) {
-            return Err(ErrorKind::WrongSeparator { separator }.at(Location::file(path).line(1)));
+            return Err(ErrorKind::WrongSeparator { separator }.at(place));
         }
         let mut before = BTreeSet::new();
         for name in &header {
             if !before.insert(name) {
-                let place = Location::file(path).line(1).column(name.as_str());
+                let place = place.column(name.as_str());
                 return Err(ErrorKind::DuplicateColumn.at(place));
             }
         }
@@ -290,6 +306,7 @@ impl CsvTable {
             rules: vec![CellRule::Number; header.len()],
             has_limits: false,
             header,
+            header_line,
             record,
             time_column: Some(0),
             previous: None,
@@ -302,6 +319,11 @@ impl CsvTable {
         &self.path
     }
 
+    /// How the table writes its values.
+    pub fn format(&self) -> &TableFormat {
+        self.reader.format()
+    }
+
     /// Names of the columns.
     pub fn header(&self) -> &[String] {
         &self.header
@@ -309,7 +331,7 @@ impl CsvTable {
 
     /// Location of a column in the header.
     pub fn header_location(&self, column: &str) -> Location {
-        Location::file(&self.path).line(1).column(column)
+        Location::file(&self.path).line(self.header_line).column(column)
     }
 
     /// Location of a cell.

@@ -84,6 +84,12 @@ pub fn propose(sources: &[PathBuf]) -> Result<Proposal, DataError> {
         check_equal_columns(hall, other, force.is_none())?;
     }
     let mut draft = Draft::default();
+    for table in first {
+        let name = table.path.file_name().unwrap_or_default().to_string_lossy();
+        for note in &table.notes {
+            draft.check_column(&name, note);
+        }
+    }
     let sensors = draft.fields(hall);
     if sensors.is_empty() {
         return Err(no_field(first));

@@ -45,6 +45,8 @@ pub struct SourceColumn {
 pub struct SourceTable {
     pub path: PathBuf,
     pub is_in_folder: bool,
+    /// How the table is read, where it has another format than those of this project.
+    pub notes: Vec<String>,
     pub rows: u64,
     pub columns: Vec<SourceColumn>,
 }
@@ -134,8 +136,11 @@ fn read_bag(path: &Path, first: &[SourceTable]) -> Result<Vec<SourceTable>, Data
 }
 
 fn read_table(path: &Path, is_in_folder: bool) -> Result<SourceTable, DataError> {
-    let header = CsvTable::open_foreign(path)?.header().to_vec();
-    read_rows(path, is_in_folder, header, CsvReader::open_foreign(path)?)
+    let table = CsvTable::open_foreign(path)?;
+    let notes = table.format().notes();
+    let header = table.header().to_vec();
+    let table = read_rows(path, is_in_folder, header, CsvReader::open_foreign(path)?)?;
+    Ok(SourceTable { notes, ..table })
 }
 
 fn read_rows(
@@ -164,13 +169,17 @@ fn read_rows(
     });
     let has_forces = columns.iter().filter(|column| column.quantity == Quantity::Force).count() > 1;
     for column in &mut columns {
+        // A clock increases.
+        if column.name == "T" && !column.is_ascending {
+            column.quantity = Quantity::Temperature;
+        }
         let is_moment =
             column.stated.unit.is_none() && column.stated.words.iter().any(|word| is_moment(word));
         if has_other_field && has_forces && is_moment && column.quantity == Quantity::Field {
             column.quantity = Quantity::Unsupported;
         }
     }
-    Ok(SourceTable { path: path.to_path_buf(), is_in_folder, rows, columns })
+    Ok(SourceTable { path: path.to_path_buf(), is_in_folder, notes: Vec::new(), rows, columns })
 }
 
 fn is_moment(word: &str) -> bool {
