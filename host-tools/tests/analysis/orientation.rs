@@ -108,3 +108,39 @@ fn column_errors_of_a_turned_sensor_are_named_as_recorded() {
     let message = first["message"].as_str().unwrap_or_default();
     assert!(message.contains("s0_x_lsb is recorded as s0_y_lsb"), "{first}");
 }
+
+/// With a reference of one axis, a sensor that is mounted as in the design shows which one that is.
+#[test]
+fn reference_of_one_axis_determines_a_turned_sensor_beside_a_nominal_one() {
+    let dir = WorkDir::empty();
+    for (campaign, sensors, is_fitted) in [("pair", 2, true), ("alone", 1, false)] {
+        dir.stdout(&format!(
+            "simulate -o {campaign} --seconds 6 --sensors {sensors} --orientation 0=+z+y-x"
+        ));
+        for recording in ["1", "2", "3"] {
+            let packed = dir.path(campaign).join(recording).join("force.csv.gz");
+            let mut text = String::new();
+            io::Read::read_to_string(&mut GzDecoder::new(File::open(&packed).unwrap()), &mut text)
+                .unwrap();
+            let names: Vec<&str> = text.lines().next().unwrap().split(',').collect();
+            let is_kept = |(i, _): &(usize, &str)| !names[*i].ends_with("_z_n");
+            let row = |line: &str| {
+                let kept = line.split(',').enumerate().filter(is_kept).map(|(_, cell)| cell);
+                kept.collect::<Vec<_>>().join(",") + "\n"
+            };
+            fs::write(packed.with_extension(""), text.lines().map(row).collect::<String>())
+                .unwrap();
+            fs::remove_file(packed).unwrap();
+        }
+        let fit = dir.run(&format!("fit {campaign} -o {campaign}.toml --json"));
+        assert_eq!(fit.status.success(), is_fitted, "{}", String::from_utf8_lossy(&fit.stderr));
+        let output = if is_fitted { fit.stdout } else { fit.stderr };
+        let words = if is_fitted {
+            "sensor 0 is mounted turned: its x, y and z are the gripper's z, y, -x; "
+        } else {
+            "sensor 0 is not mounted as in the design: record f0_z_n, too"
+        };
+        let output = String::from_utf8_lossy(&output);
+        assert!(output.contains(words), "{output}");
+    }
+}

@@ -105,6 +105,7 @@ impl FitSetup {
             let place = Location::file(&campaign.folder);
             return Err(FitError::MissingAxes { place, sensor: rows.sensor });
         }
+        let rows_of_all = &rows;
         let mounted = in_order(rows.par_iter().map(|rows| {
             rows.check_excitation(campaign)?;
             match known(rows.sensor) {
@@ -112,7 +113,7 @@ impl FitSetup {
                     orientation::check(campaign, rows, &nominal, mounting)?;
                     Ok((mounting, None))
                 }
-                None => orientation::find(campaign, rows, &nominal),
+                None => orientation::find(campaign, rows, rows_of_all, &nominal),
             }
         }))?;
         let base = |mounting: &SensorMounting| {

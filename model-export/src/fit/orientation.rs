@@ -74,11 +74,15 @@ pub fn check(
 /// Mounting of a sensor: the nominal one where it is plausible, else the only plausible one. A notice says where the sensor is
 /// mounted otherwise, or where the recordings do not determine it.
 ///
+/// A reference with one axis determines the mounting if another one of the sensors `all` is mounted as in the design and follows
+/// this axis, which is then the right one, and if the poles of the magnet are those of the design.
+///
 /// # Errors
 /// The first column that is implausible in the nominal mounting, where no other is plausible; several mountings are.
 pub fn find(
     campaign: &Campaign,
     rows: &SensorRows,
+    all: &[SensorRows],
     nominal: &ForwardModel,
 ) -> Result<(SensorMounting, Option<Notice>), FitError> {
     let sensor = rows.sensor;
@@ -105,6 +109,20 @@ pub fn find(
     });
     let found: Vec<SensorMounting> = mountings.filter(is_plausible).collect();
     let is_measured = |force: usize| rows.forces.contains(&own_forces(sensor)[force]);
+    let mut as_designed = found.iter().filter(|mounting| !mounting.is_reversed);
+    if let (Some(force), Some(mounting), None) = (unknown, as_designed.next(), as_designed.next())
+        && let Some(other) =
+            all.iter().find(|other| follows_as_designed(campaign, other, nominal, 1 - force))
+    {
+        let message = format!(
+            "{}; this assumes the magnet's poles as in the design and {} along the axis of sensor {}, since {} does not move by itself",
+            description(sensor, *mounting),
+            force_column(sensor, 1 - force),
+            other.sensor,
+            force_column(sensor, force),
+        );
+        return Ok((*mounting, Some(notice(message))));
+    }
     match (found.as_slice(), unknown) {
         ([mounting], _) if mounting.equals_column_error() => {
             Err(with_advice(error, WITH_REVERSED_MAGNET))
@@ -130,6 +148,20 @@ pub fn find(
         }),
         _ => Err(error),
     }
+}
+
+/// Whether a sensor in the nominal mounting follows this force of its own.
+fn follows_as_designed(
+    campaign: &Campaign,
+    rows: &SensorRows,
+    nominal: &ForwardModel,
+    force: usize,
+) -> bool {
+    let slopes = recorded_slopes(campaign, rows);
+    let mounting = SensorMounting::default();
+    slopes.iter().any(|(_, slopes)| slopes.per_newton[force].is_some())
+        && check_slopes(campaign, rows, &mounting.nominal(nominal), mounting.orientation, &slopes)
+            .is_ok()
 }
 
 /// Further advice for the error of a column that a reversed magnet explains, too.
