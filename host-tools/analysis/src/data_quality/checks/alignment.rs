@@ -248,7 +248,14 @@ pub fn offsets<'a>(context: &CheckContext<'a>, delay_s: f64) -> Vec<Found<'a>> {
         offsets,
     };
     let found = Found::new(Location::file(Path::new(&place(first))).column("t_us"), evidence);
-    vec![if is_lag { found } else { found.with_fix(Fix { kind: FixKind::AlignClock, repairs }) }]
+    if is_lag {
+        return vec![found];
+    }
+    let fix = Fix { kind: FixKind::AlignClock, repairs };
+    // No effect explains such an offset, and every one of memory or rate follows it.
+    let is_beyond_lags =
+        hit.iter().any(|(_, offset, _)| offset.offset_ms.abs() > 1e3 * BEYOND_LAGS_S);
+    vec![if is_beyond_lags { found.stopping(Some(fix)) } else { found.with_fix(fix) }]
 }
 
 /// The mean offset in milliseconds of clocks with the same offset and rate; `None` where they differ or run at different rates.
