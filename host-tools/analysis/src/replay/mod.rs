@@ -2,6 +2,7 @@
 
 pub mod bags;
 pub mod corrections;
+pub mod error_noise;
 pub mod evaluation;
 pub mod tare;
 
@@ -15,13 +16,13 @@ use firmware::sensors::hall::HallFrame;
 use model_export::inverse::compensation::OwnedCompensation;
 use model_export::inverse::grbf::{Grbf, GrbfLanes};
 use model_export::recordings::DataError;
-use model_export::recordings::noise::WhiteNoise;
 use model_export::recordings::stream::{RawRow, RawStream};
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use crate::calibration::{Coverage, PredictedError, SIGMA_MULTIPLES, subtract_tare};
 use crate::replay::corrections::{Irreducible, SampleCorrection, SensorCorrections};
+use crate::replay::error_noise::ErrorNoise;
 use crate::replay::tare::{TareEstimator, friction_n};
 use crate::statistics::Moments;
 use device_run::channel_map::SensorChannels;
@@ -30,10 +31,6 @@ use device_run::{DeviceRow, ReplayModels};
 
 /// Rows that are read and estimated together, while the next ones are read; only reading and estimating are timed.
 const CHUNK: usize = 1024;
-/// Noise of a linear interpolation between two noisy rows, relative to one row, root mean square: the mean
-/// of (1-s)^2 + s^2 is 2/3.
-const INTERPOLATED_NOISE: f64 = 0.816_496_580_927_726;
-
 /// Errors of one force of one sensor over one recording, in newtons.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct AxisReplay {
@@ -375,7 +372,8 @@ impl<'a> ModelReplay<'a> {
                 let correction = self.input.correction(channels.number, row.raw.time_s);
                 let estimates = (estimate, ideal, network);
                 let is_disturbed = self.disturbed.get(at).copied().unwrap_or_default();
-                let how = (correction, is_disturbed && self.input.counts_events);
+                let is_flagged = is_disturbed && self.input.counts_events;
+                let how = (correction, is_flagged, row.at_reference_row);
                 let sample = self.evaluation.update((i, channels), &row.raw, estimates, how);
                 self.samples.extend(sample);
             }
@@ -397,8 +395,7 @@ struct Evaluation<'a> {
     models: ReplayModels<'a>,
     float: Option<Vec<GrbfLanes>>,
     result: RecordingReplay,
-    /// Of the estimates, and of their errors.
-    noises: Vec<[[WhiteNoise; 2]; 2]>,
+    noises: Vec<[ErrorNoise; 2]>,
     /// Of the device, of floating point.
     tares: Vec<[TareEstimator; 2]>,
 }
@@ -438,7 +435,7 @@ impl<'a> Evaluation<'a> {
         (i, channels): (usize, &SensorChannels),
         row: &RawRow,
         (estimate, ideal, network): (&Estimate, &Estimate, Option<FloatForce>),
-        (correction, is_flagged): (Option<SampleCorrection>, bool),
+        (correction, is_flagged, at_reference_row): (Option<SampleCorrection>, bool, bool),
     ) -> Option<ForceSample> {
         let recorded = channels.force_n(row);
         let is_measured = channels.forces.map(|force| force.is_some());
@@ -460,9 +457,7 @@ impl<'a> Evaluation<'a> {
             }))
         });
         for axis in (0..2).filter(|axis| is_measured[*axis]) {
-            let [of_estimate, of_error] = &mut self.noises[i][axis];
-            of_estimate.push(found[axis]);
-            of_error.push(found[axis] - recorded[axis]);
+            self.noises[i][axis].push(found[axis], found[axis] - recorded[axis], at_reference_row);
             let replay = &mut self.result.sensors[i].axes[axis];
             if is_flagged {
                 replay.flagged.add(found[axis] - reference[axis]);
@@ -509,21 +504,14 @@ impl<'a> Evaluation<'a> {
             for (axis, replay) in sensor.axes.iter_mut().enumerate() {
                 replay.tare = tare.map(|(mean, length)| (mean[axis], length));
                 replay.float_tare = float_tare.map(|(mean, _)| mean[axis]);
-                let [own, of_error] = noise[axis].each_ref().map(WhiteNoise::estimate);
-                let (own, of_error) = (own.unwrap_or(0.0), of_error.unwrap_or(0.0));
                 let channel = channels.forces[axis];
-                let reference = channel.and_then(|channel| force_noise[channel]).unwrap_or(0.0);
-                let independent = own.hypot(reference * INTERPOLATED_NOISE);
-                // Where rows are as sparse as the motion of the load, it is in the differences of both, but not in those of the error.
-                replay.noise_n = if own > HOLDS_MOTION * of_error { of_error } else { independent };
+                let reference_n = channel.and_then(|channel| force_noise[channel]).unwrap_or(0.0);
+                replay.noise_n = noise[axis].estimate(reference_n);
             }
         }
         result
     }
 }
-
-/// Ratio of the differences of the estimates to those of their errors from which they hold the motion of the load.
-const HOLDS_MOTION: f64 = 1.5;
 
 /// Coverage of the predicted standard deviations after the tare, over all forces. Recordings are shifted
 /// in time so that no bootstrap block contains rows of two.
