@@ -159,6 +159,11 @@ impl Span {
         -self.low > 0.1 * self.width() && self.high > 0.1 * self.width()
     }
 
+    /// Whether the values differ little, relative to their distance from zero.
+    fn is_far_from_zero(self) -> bool {
+        self.low.abs().min(self.high.abs()) > 1.5 * self.width() && self.low * self.high > 0.0
+    }
+
     fn at(self, fraction: f64) -> f64 {
         self.low + fraction * self.width()
     }
@@ -182,7 +187,14 @@ pub fn atoms_of(covariate: &str, span: Span, harmonics: &[u32]) -> Vec<Atom> {
         atoms.extend(relaxations);
         return atoms;
     }
-    let mut atoms = vec![atom("x", 1.0).factor(), atom("x^2", 1.2).factor(), atom("x^3", 1.4)];
+    let middle = round_significant(span.at(0.5), 2);
+    let linear = if span.is_far_from_zero() {
+        // The product with a force would be a stiffness for the most part, which the model has.
+        atom(&format!("(x-{middle})"), 1.0)
+    } else {
+        atom("x", 1.0)
+    };
+    let mut atoms = vec![linear.factor(), atom("x^2", 1.2).factor(), atom("x^3", 1.4)];
     let scale = span.high.max(-span.low);
     if span.is_signed() {
         atoms.push(atom("abs(x)", 1.2).factor());
@@ -203,8 +215,7 @@ pub fn atoms_of(covariate: &str, span: Span, harmonics: &[u32]) -> Vec<Atom> {
             let text = "(x-0.5*(abs(x+p)-abs(x-p)))";
             atoms.push(atom(text, 1.6).with(&[(p, 0.05 * scale, 0.85 * scale)]));
         }
-    } else {
-        let middle = round_significant(span.at(0.5), 2);
+    } else if !span.is_far_from_zero() {
         atoms.push(atom(&format!("(x-{middle})"), 1.1).factor());
     }
     for fraction in [0.1, 0.25, 0.4, 0.55, 0.7, 0.85] {
