@@ -7,7 +7,7 @@ use firmware::compensation::lookup_table::{
 use firmware::compensation::thermal;
 use firmware::config::constants;
 use firmware::fixed_point::Force;
-use nalgebra::{Matrix3, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 
 use crate::effects::expression::Quantity;
 use crate::effects::{Expression, REFERENCE_C};
@@ -82,8 +82,8 @@ impl OwnedForceMap {
 /// A formula on the device.
 pub(super) struct ConvertedFormula {
     pub(super) map: OwnedMap,
-    /// Force in newtons by which it changes per newton of the estimate; 0 if it depends on no force.
-    pub(super) feedback: f64,
+    /// Change of each force in newtons per newton of the estimate of each force, at most: a row for each force that it changes.
+    pub(super) feedback: Matrix2<f64>,
 }
 
 /// By the quantity that it changes.
@@ -242,19 +242,22 @@ impl Converter<'_> {
         let cells = self.cells(&inputs, &evaluate)?;
         let direction = self.direction(formula)?;
         let sensitivity = self.sensitivity(&inputs, &direction, &evaluate)?;
-        let mut feedback = 0.0;
+        let mut feedback = Matrix2::zeros();
         let mut axes = Vec::new();
         for ((input, cells), sensitivity) in inputs.iter().zip(cells).zip(sensitivity) {
-            let rate_s =
-                (1e-3 * RATE_FILTER_MS).max(1.05 * sensitivity).min(1e-3 * MAX_RATE_FILTER_MS);
-            feedback += match input.column.is_rate {
-                // The largest gain of the two low passes with the derivative, at the corner frequency.
-                true => sensitivity / (2.0 * rate_s),
-                false => sensitivity,
-            };
+            let largest = sensitivity.norm();
+            let rate_s = (1e-3 * RATE_FILTER_MS).max(1.05 * largest).min(1e-3 * MAX_RATE_FILTER_MS);
+            if let Covariate::Force(axis) = input.column.covariate {
+                let mut column = feedback.column_mut(usize::from(axis).min(1));
+                column += match input.column.is_rate {
+                    // The largest gain of the two low passes with the derivative, at the corner frequency.
+                    true => sensitivity / (2.0 * rate_s),
+                    false => sensitivity,
+                };
+            }
             axes.push(self.axis(input, cells, rate_s, filters)?);
         }
-        self.check_feedback(feedback)?;
+        self.check_feedback(&feedback)?;
         let (table, largest) = self.table(&axes, &evaluate)?;
         let map = match direction {
             Direction::Force(along_n) => {
@@ -273,7 +276,8 @@ impl Converter<'_> {
     }
 
     /// Checks that the device's estimates converge.
-    pub(super) fn check_feedback(&self, feedback: f64) -> Result<(), NotCompensable> {
+    pub(super) fn check_feedback(&self, feedback: &Matrix2<f64>) -> Result<(), NotCompensable> {
+        let feedback = feedback.singular_values().max();
         if feedback < MAX_FEEDBACK {
             return Ok(());
         }
@@ -432,15 +436,15 @@ impl Converter<'_> {
         Ok(cells)
     }
 
-    /// Change of the force in newtons per unit of each input that depends on a force, at most; 0 for the others.
+    /// Change of both forces in newtons per unit of each input that depends on a force, at most; 0 for the others.
     fn sensitivity(
         &self,
         inputs: &[TableInput],
         direction: &Direction,
         evaluate: &dyn Fn(Vec<Vec<f64>>) -> Result<Vec<f64>, NotCompensable>,
-    ) -> Result<Vec<f64>, NotCompensable> {
+    ) -> Result<Vec<Vector2<f64>>, NotCompensable> {
         if !inputs.iter().any(|input| input.column.depends_on_force()) {
-            return Ok(vec![0.0; inputs.len()]);
+            return Ok(vec![Vector2::zeros(); inputs.len()]);
         }
         let levels = lattice(&vec![LEVELS; inputs.len()]);
         let at = |i: usize, level: usize, by: f64| {
@@ -469,25 +473,26 @@ impl Converter<'_> {
             self.model.region().at(coordinates)
         };
         let per_value = |force_n: [f64; 2]| match direction {
-            Direction::Force(along_n) => along_n.norm(),
+            Direction::Force(along_n) => along_n.abs(),
             Direction::Field { along_g, matrix } => {
                 let field_g = self.model.field(force_n);
                 let changed = field_g + (along_g + matrix * field_g) * largest;
                 let nearest = Vector2::from(nearest_forces(self.model, &changed, force_n));
-                (nearest - Vector2::from(force_n)).norm() / largest.max(f64::MIN_POSITIVE)
+                (nearest - Vector2::from(force_n)).abs() / largest.max(f64::MIN_POSITIVE)
             }
         };
-        let mut known: Vec<([f64; 2], f64)> = Vec::new();
+        let mut known: Vec<([f64; 2], Vector2<f64>)> = Vec::new();
         let mut per_value_at = |force: [f64; 2]| {
             if let Some((_, found)) = known.iter().find(|(own, _)| *own == force) {
                 return *found;
             }
             known.push((force, per_value(force)));
-            known.last().map_or(0.0, |(_, found)| *found)
+            known.last().map_or(Vector2::zeros(), |(_, found)| *found)
         };
-        let scales: Vec<f64> = levels.iter().map(|level| per_value_at(force_n(level))).collect();
+        let scales: Vec<Vector2<f64>> =
+            levels.iter().map(|level| per_value_at(force_n(level))).collect();
         const STEP: f64 = 0.01;
-        let mut sensitivity = vec![0.0; inputs.len()];
+        let mut sensitivity = vec![Vector2::zeros(); inputs.len()];
         for (i, input) in inputs.iter().enumerate() {
             if !input.column.depends_on_force() {
                 continue;
@@ -496,7 +501,7 @@ impl Converter<'_> {
             for (point, level) in levels.iter().enumerate() {
                 let distance = at(i, level[i], STEP) - at(i, level[i], -STEP);
                 let slope = (after[point] - before[point]) / distance;
-                sensitivity[i] = f64::max(sensitivity[i], scales[point] * slope.abs());
+                sensitivity[i] = sensitivity[i].sup(&(scales[point] * slope.abs()));
             }
         }
         Ok(sensitivity)

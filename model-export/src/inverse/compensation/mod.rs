@@ -9,7 +9,7 @@ pub use support::{DeviceSupport, device_support};
 use firmware::compensation::lookup_table::{Covariate, CovariateFilter, FILTERS, LookupTable};
 use firmware::compensation::{Compensation, FieldEffect, ForceEffect, MAX_EFFECTS, crosstalk};
 use firmware::fixed_point::{Field, Force};
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix2, Matrix3, Vector3};
 use serde::Serialize;
 
 use crate::effects::{DeviceForm, EffectTerm};
@@ -95,7 +95,7 @@ impl OwnedCompensation {
     ) -> Result<Option<Self>, NotCompensable> {
         let units = f64::from(1_u32 << Field::BITS) / gauss_per_lsb;
         let mut own = Self { number: number as u8, ..Self::default() };
-        let mut feedback = 0.0;
+        let mut feedback = Matrix2::zeros();
         let mut sorted: Vec<&(EffectTerm, Vec<f64>)> = effects.iter().collect();
         // In reverse order of the measuring chain.
         sorted.sort_by_key(|(effect, _)| std::cmp::Reverse(effect.stage()));
@@ -119,7 +119,7 @@ impl OwnedCompensation {
                         OwnedMap::Force(map) => own.force.push(OwnedOnForce::Map(map)),
                     }
                     feedback += converted.feedback;
-                    converter.check_feedback(feedback)?;
+                    converter.check_feedback(&feedback)?;
                 }
             }
         }

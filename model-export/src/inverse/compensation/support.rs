@@ -63,9 +63,10 @@ impl DeviceSupport {
     }
 }
 
-/// Of all effects of a model, with the values of their parameters at every sensor.
+/// Of all effects of a model, with the values of their parameters at every sensor, each together with those before it.
 pub fn device_support(model: &ModelFile, effects: &[EffectTerm]) -> Vec<DeviceSupport> {
     let recordings = model.provenance.recordings.len();
+    let mut supported: Vec<EffectTerm> = Vec::new();
     let of = |effect: &EffectTerm| {
         let support = DeviceSupport::of(effect);
         if support.runs != Some(true) {
@@ -88,12 +89,17 @@ pub fn device_support(model: &ModelFile, effects: &[EffectTerm]) -> Vec<DeviceSu
                 Err(BuildError::NotInvertible { why, .. }) => return Some(why.to_string()),
                 Err(error) => return Some(error.to_string()),
             };
-            let own: Vec<_> = all.iter().filter(|(own, _)| own == effect).cloned().collect();
+            let is_built = |own: &EffectTerm| own == effect || supported.contains(own);
+            let own: Vec<_> = all.iter().filter(|(own, _)| is_built(own)).cloned().collect();
             let gauss_per_lsb = model.sensor_scale.gauss_per_lsb;
             let built = OwnedCompensation::build(number, &rest, &own, gauss_per_lsb);
             built.err().map(|error| format!("{} (sensor {number})", error.why))
         });
-        refusal.map_or_else(|| support.clone(), |reason| refused(&reason))
+        if let Some(reason) = refusal {
+            return refused(&reason);
+        }
+        supported.push(effect.clone());
+        support
     };
     effects.iter().map(of).collect()
 }
