@@ -9,6 +9,7 @@ mod diagnose;
 mod diagnose_variants;
 mod force_error;
 mod independent_campaigns;
+mod logger_campaigns;
 mod networks;
 mod orientation;
 mod recording_differences;
