@@ -11,6 +11,8 @@ use crate::diagnose::formulas::harmonics::{TURN, USUAL};
 const PERIODS: (f64, f64) = (40.0, 0.5);
 /// Covariates whose past matters: warming, relaxation. With a lag, and without what the lag follows.
 const LAGGED: [&str; 5] = ["temp_c", "motor_iq_a", "fx_n", "fz_n", "opening_mm"];
+/// Times: drift and relaxation only.
+const TIMES: [&str; 2] = ["time_s", "session_s"];
 /// Time constants in seconds at which the search for that of a lag starts.
 const TIME_CONSTANTS: [f64; 5] = [0.3, 1.2, 5.0, 20.0, 80.0];
 /// Shortest period in mm.
@@ -80,6 +82,20 @@ impl Atom {
     pub fn partner(&self) -> Option<Self> {
         let text = self.partner.clone()?;
         Some(Self { partner: Some(self.text.clone()), text, ..self.clone() })
+    }
+
+    /// Powers of the covariate that are polynomials together; none of a time or of an angle.
+    pub fn polynomials(&self) -> Vec<Vec<Self>> {
+        if TIMES.contains(&self.covariate.as_str()) || self.covariate.ends_with("_rad") {
+            return Vec::new();
+        }
+        let power = |text: &str, complexity: f64| Self::new(&self.covariate, text, complexity);
+        let [cube, square, linear] = [power("x^3", 1.4), power("x^2", 1.2), power("x", 1.0)];
+        vec![
+            vec![square.clone(), linear.clone()],
+            vec![cube.clone(), linear.clone()],
+            vec![cube, square, linear],
+        ]
     }
 
     /// Text with the parameters as numbers, or with names: those of `names` in their order.
@@ -178,7 +194,7 @@ pub fn atoms_of(covariate: &str, span: Span, harmonics: &[u32]) -> Vec<Atom> {
         return atoms;
     }
     let atom = |text: &str, complexity: f64| Atom::new(covariate, text, complexity);
-    if matches!(covariate, "time_s" | "session_s") {
+    if TIMES.contains(&covariate) {
         // Drift and relaxation only: any other function of time imitates what nobody recorded.
         let relaxations = [0.3, 0.8, 2.0, 5.0, 12.0];
         let relaxations =

@@ -96,19 +96,22 @@ impl Candidate {
         changed
     }
 
-    /// The candidate, if it is a product of two, with one of the factors as another term.
+    /// The candidate, if it is a product of two, with one of the factors as another term; if it is a function of one covariate,
+    /// polynomials of that instead, in which the zero of the covariate does not matter.
     pub fn with_lower_terms(&self) -> Vec<Self> {
-        let [term] = &self.terms[..] else {
-            return Vec::new();
-        };
-        if term.len() != 2 {
-            return Vec::new();
+        let with = |terms: Vec<Vec<Atom>>| Self { terms, own: Vec::new(), ..self.clone() };
+        match &self.terms[..] {
+            [term] if term.len() == 2 => {
+                term.iter().map(|factor| with(vec![term.clone(), vec![factor.clone()]])).collect()
+            }
+            [term] if term.len() == 1 => {
+                let polynomials = term[0].polynomials().into_iter();
+                polynomials
+                    .map(|powers| with(powers.into_iter().map(|one| vec![one]).collect()))
+                    .collect()
+            }
+            _ => Vec::new(),
         }
-        let with = |factor: &Atom| Self {
-            terms: vec![term.clone(), vec![factor.clone()]],
-            ..self.clone()
-        };
-        term.iter().map(with).collect()
     }
 
     /// Columns at each sensor.

@@ -307,6 +307,24 @@ struct Accepted {
     others: Option<Vec<Vec<ChainPoint>>>,
 }
 
+/// Where a search is: the formulas so far, with the model in which their nonlinear parameters are numbers, and with that in which
+/// they are fitted.
+struct Step<'a> {
+    start: &'a FittedModel,
+    accepted: &'a [Accepted],
+    model: &'a FittedModel,
+    free: &'a FittedModel,
+}
+
+/// Whether a formula is added.
+enum Attempt {
+    /// With the models of [`Step`] after it.
+    Accepted(Accepted, Box<FittedModel>, Box<FittedModel>),
+    /// Its nonlinear parameters, fitted without a fold, raise the error there.
+    Overfitted,
+    Rejected,
+}
+
 /// Search on one campaign.
 pub struct FormulaSearch<'a> {
     setup: &'a FitSetup,
@@ -352,6 +370,8 @@ impl<'a> FormulaSearch<'a> {
     pub fn run(&self, start: &FittedModel, observer: &Observer) -> Result<Option<Discovery>> {
         let mut accepted: Vec<Accepted> = Vec::new();
         let mut model = start.clone();
+        // With the nonlinear parameters fitted in every fold.
+        let mut free = start.clone();
         while accepted.len() < MAX_FORMULAS && self.size() > 0 && !observer.is_stopped() {
             observer.stage(&format!("searching formulas, step {}", accepted.len() + 1), STEP);
             let scan = self.scan(&model);
@@ -360,29 +380,16 @@ impl<'a> FormulaSearch<'a> {
                 break;
             }
             let terms = TermScan::new(&scan, self.dictionary.values());
-            let Some((candidate, score)) = self.best(&terms, &scan, &before) else {
-                break;
+            let step = Step { start, accepted: &accepted, model: &model, free: &free };
+            let any = self.next(&step, (&terms, &scan, &before), false)?;
+            // Nonlinear parameters of one fold may not hold in another.
+            let found = match any {
+                Attempt::Overfitted => self.next(&step, (&terms, &scan, &before), true)?,
+                other => other,
             };
-            let gain = 1.0 - score.held_out() / before.held_out();
-            let improves = score.folds.iter().zip(&before.folds).all(|(new, old)| new < old);
-            if gain < MIN_GAIN || !improves {
-                break;
-            }
-            let columns = self.columns(&scan, &candidate);
-            let p_value = terms.p_value(&columns, self.options.seed);
-            if p_value >= MAX_P {
-                break;
-            }
-            let new = Accepted { candidate, gain, p_value, others: None };
-            let mut all = accepted.clone();
-            all.push(new);
-            let Ok(next) = self.fitted(start, &all) else {
-                break;
-            };
-            if next.gain(&model) < MIN_GAIN || !next.improves(&model) {
-                break;
-            }
-            (accepted, model) = (all, next);
+            let Attempt::Accepted(new, next, next_free) = found else { break };
+            accepted.push(new);
+            (model, free) = (*next, *next_free);
         }
         let excess = |model: &FittedModel| {
             (model.mean_square() - model.fit.tally().floor_g().powi(2)).max(0.0)
@@ -431,6 +438,47 @@ impl<'a> FormulaSearch<'a> {
         Ok(Some(discovery))
     }
 
+    /// The best candidate, if it lowers the held-out error in every fold significantly.
+    fn next(
+        &self,
+        step: &Step,
+        (terms, scan, before): (&TermScan, &Scan, &Score),
+        is_linear: bool,
+    ) -> Result<Attempt> {
+        let Some((candidate, score)) = self.best(terms, scan, before, is_linear) else {
+            return Ok(Attempt::Rejected);
+        };
+        let gain = 1.0 - score.held_out() / before.held_out();
+        let improves = score.folds.iter().zip(&before.folds).all(|(new, old)| new < old);
+        if gain < MIN_GAIN || !improves {
+            return Ok(Attempt::Rejected);
+        }
+        let p_value = terms.p_value(&self.columns(scan, &candidate), self.options.seed);
+        if p_value >= MAX_P {
+            return Ok(Attempt::Rejected);
+        }
+        let new = Accepted { candidate, gain, p_value, others: None };
+        let mut all = step.accepted.to_vec();
+        all.push(new.clone());
+        let Ok(next) = self.fitted(step.start, &all) else {
+            return Ok(Attempt::Rejected);
+        };
+        if next.gain(step.model) < MIN_GAIN || !next.improves(step.model) {
+            return Ok(Attempt::Rejected);
+        }
+        if all.iter().all(|one| one.candidate.nonlinear().is_empty()) {
+            return Ok(Attempt::Accepted(new, Box::new(next.clone()), Box::new(next)));
+        }
+        let effects = self.effects(step.start, &all, true)?;
+        let split = self.setup.split(&effects);
+        let free = FittedModel::new(self.setup, effects, split, self.options)?;
+        if new.candidate.nonlinear().is_empty() || free.improves_all_folds(step.free) {
+            Ok(Attempt::Accepted(new, Box::new(next), Box::new(free)))
+        } else {
+            Ok(Attempt::Overfitted)
+        }
+    }
+
     /// Name of the formula with this index, which no effect of the model has.
     fn name(&self, start: &FittedModel, number: usize) -> String {
         let taken = |name: &str| start.effects.iter().any(|effect| effect.name().starts_with(name));
@@ -455,25 +503,39 @@ impl<'a> FormulaSearch<'a> {
 
     /// The model with these formulas.
     fn fitted(&self, start: &FittedModel, accepted: &[Accepted]) -> Result<FittedModel> {
-        let effects = self.effects(start, accepted)?;
+        let effects = self.effects(start, accepted, false)?;
         let split = self.setup.split(&effects);
         FittedModel::new(self.setup, effects, split, self.options)
     }
 
-    fn effects(&self, start: &FittedModel, accepted: &[Accepted]) -> Result<Vec<EffectTerm>> {
+    /// Effects of the initial model and of the formulas, see [`Candidate::effects`].
+    fn effects(
+        &self,
+        start: &FittedModel,
+        accepted: &[Accepted],
+        has_ranges: bool,
+    ) -> Result<Vec<EffectTerm>> {
         let mut effects = start.effects.clone();
         for (number, accepted) in accepted.iter().enumerate() {
-            effects.extend(accepted.candidate.effects(&self.name(start, number), false)?);
+            effects.extend(accepted.candidate.effects(&self.name(start, number), has_ranges)?);
         }
         Ok(effects)
     }
 
-    /// The simplest candidate within 2 % of the least remaining squared error, with its score.
-    fn best(&self, terms: &TermScan, scan: &Scan, before: &Score) -> Option<(Candidate, Score)> {
+    /// The simplest candidate within 2 % of the least remaining squared error, with its score; `is_linear`: without nonlinear
+    /// parameters.
+    fn best(
+        &self,
+        terms: &TermScan,
+        scan: &Scan,
+        before: &Score,
+        is_linear: bool,
+    ) -> Option<(Candidate, Score)> {
         let gains = terms.gains();
         let ranked = self.dictionary.ranked(&gains, &self.points, EXACT);
         let mut scored: Vec<(Candidate, Score)> = ranked
             .into_par_iter()
+            .filter(|ranked| !is_linear || ranked.candidate.nonlinear().is_empty())
             .map(|RankedCandidate { candidate, terms }| {
                 let of_sensor = |(sensor, rows): (usize, &SensorRows)| {
                     let values = self.dictionary.values_of(sensor, &terms);
@@ -649,7 +711,7 @@ impl<'a> FormulaSearch<'a> {
         let fit = |candidate: &Candidate| {
             let mut all = accepted.to_vec();
             all[place].candidate = candidate.clone();
-            let effects = self.effects(start, &all)?;
+            let effects = self.effects(start, &all, false)?;
             FittedModel::without_validation(self.setup, effects, self.options)
         };
         let current = accepted[place].candidate.clone();
