@@ -17,6 +17,7 @@
 use core::any::Any;
 
 use crate::compensation::Compensation;
+use crate::config::constants;
 use crate::estimator::gru::CalibratedBank;
 use crate::model::encoding::{Decode, Encode, Reader, Window, visit};
 use crate::model::formats::{EXP_ENTRIES, Network, SensorTable, Tables};
@@ -25,8 +26,19 @@ use crate::sensors::hall::SENSORS;
 
 /// First bytes of an encoded calibration.
 pub const MAGIC: [u8; 4] = *b"MGPC";
-/// Version of the encoding; a device refuses others.
-pub const FORMAT: u32 = 2;
+/// Version of the encoding, and scale and range of the sensors for which the tables are; a device refuses others.
+pub const FORMAT: u32 = format(constants::SENSOR_SCALE.value, constants::SENSOR_RANGE.value);
+/// Version of the encoding.
+const VERSION: u32 = 3;
+
+/// Format of a calibration for sensors of this scale and range: version in bits 28 to 31, gauss of the range in bits 16 to 27,
+/// tens of microgauss of a count in bits 0 to 15. Values beyond are saturated.
+pub const fn format(gauss_per_lsb: f64, range_gauss: f64) -> u32 {
+    let scale = (gauss_per_lsb * 1e5 + 0.5) as u16;
+    let range = (range_gauss + 0.5) as u32;
+    let range = if range < 0xFFF { range } else { 0xFFF };
+    (VERSION << 28) | (range << 16) | scale as u32
+}
 /// Bytes before the payload.
 pub const HEADER_BYTES: usize = 16;
 /// Maximum length of a description in bytes.
@@ -42,6 +54,8 @@ pub type LoadableNetwork = Network<2, 8, 1>;
 /// Header of an encoded calibration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Header {
+    /// See [`format`].
+    pub format: u32,
     /// Bytes of the payload.
     pub length: u32,
     /// Its CRC-32.
@@ -52,7 +66,7 @@ impl Header {
     /// Encodes the header.
     pub fn to_bytes(self) -> [u8; HEADER_BYTES] {
         let [a, b, c, d] = MAGIC;
-        let numbers = [u32::from_le_bytes([a, b, c, d]), FORMAT, self.length, self.crc];
+        let numbers = [u32::from_le_bytes([a, b, c, d]), self.format, self.length, self.crc];
         let mut bytes = [0; HEADER_BYTES];
         for (to, from) in bytes.iter_mut().zip(numbers.map(u32::to_le_bytes).as_flattened()) {
             *to = *from;
@@ -65,8 +79,8 @@ impl Header {
         let (numbers, _) = bytes.as_chunks::<4>();
         let [magic, format, length, crc] = numbers else { return None };
         let is_known = *magic == MAGIC && u32::from_le_bytes(*format) == FORMAT;
-        is_known
-            .then(|| Self { length: u32::from_le_bytes(*length), crc: u32::from_le_bytes(*crc) })
+        let [length, crc] = [length, crc].map(|bytes| u32::from_le_bytes(*bytes));
+        is_known.then_some(Self { format: FORMAT, length, crc })
     }
 }
 

@@ -58,6 +58,11 @@ pub enum Note {
         /// Number of the sensor.
         sensor: u32,
     },
+    /// Every estimate of a sensor is invalid: the errors are without it.
+    NoValidEstimate {
+        /// Number of the sensor.
+        sensor: u32,
+    },
     /// A sensor of the model whose field or forces were not recorded is not compared.
     NotRecorded {
         /// Number of the sensor.

@@ -61,6 +61,7 @@ pub fn run(args: &Args) -> Result<()> {
     }
     check_output(&args.output, MARK)?;
     let built = build(&args.model, variant)?;
+    built.check_sensors(&args.model)?;
     if !args.uncompensated {
         check_compensated(&built, "export")?;
     }

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant, SystemTime};
 
 use analysis::notes::{Note, UncompensatedEffect};
 use analysis::progress;
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use device::calibration_client;
 use device::source::Source;
 use device_run::networks::NetworkSet;
@@ -42,6 +42,9 @@ pub struct Args {
     /// Upload although the device never compensates an effect of the model: the forces keep its error.
     #[arg(long)]
     uncompensated: bool,
+    /// Upload although the fit is far from its own design: all forces change by as much.
+    #[arg(long)]
+    far_from_design: bool,
     /// Do not reboot the gripper: it runs the new calibration after the next one.
     #[arg(long)]
     no_reboot: bool,
@@ -55,6 +58,11 @@ pub fn run(args: &Args) -> Result<()> {
     let mut source = args.port.open_given()?;
     let variant = if args.nominal { ModelVariant::Nominal } else { ModelVariant::Fitted };
     let built = build(&args.model, variant)?;
+    built.check_sensors(&args.model)?;
+    if !args.nominal {
+        check_design(&built, args.far_from_design)
+            .with_context(|| args.model.display().to_string())?;
+    }
     if !args.uncompensated {
         check_compensated(&built, "upload")?;
     }
@@ -81,6 +89,30 @@ pub fn run(args: &Args) -> Result<()> {
         },
         || uploaded.text(args.no_reboot),
     )
+}
+
+/// Ratio of a fitted gain to its design, either way, from which it is stated, and from which it must be accepted: beyond tolerances
+/// of manufacturing, and far beyond.
+const STATED: f64 = 1.1;
+const ACCEPTED: f64 = 1.3;
+
+/// States how far the fit is from its own design.
+///
+/// # Errors
+/// It is far, as with forces in another unit or a wrong stiffness in the design, and not `accepted`.
+fn check_design(built: &DeviceModel, accepted: bool) -> Result<()> {
+    let Some((sensor, parameter, ratio)) = built.largest_deviation() else { return Ok(()) };
+    let is_beyond = |limit: f64| !(1.0 / limit..=limit).contains(&ratio);
+    let found = format!("{parameter} of sensor {sensor} is fitted as {ratio:.2} times its design");
+    if is_beyond(ACCEPTED) && !accepted {
+        bail!(
+            "{found}, and the forces change by as much: check the unit of the reference and the design in recording.toml; or upload with --far-from-design"
+        );
+    }
+    if is_beyond(STATED) {
+        eprintln!("note: {found}");
+    }
+    Ok(())
 }
 
 /// A calibration that was uploaded.

@@ -201,3 +201,18 @@ fn constant_offset_is_not_attributed_to_a_covariate() {
     assert!(share > 0.4, "{share}");
     assert!(verdict(&comparison).contains("another gripper"), "{}", verdict(&comparison));
 }
+
+/// A length of zero in a friction, and an offset beyond the range of the sensor.
+#[test]
+fn models_without_a_number_or_an_estimate_are_named() {
+    let Some(folder) = tests::case("hostile") else { return };
+    let (dir, recordings) = (WorkDir::empty(), campaign("clean"));
+    let model = |name: &str| folder.join(name).display().to_string();
+    let refused = dir.failure(&["compare", &model("model-nan.toml"), &recordings]);
+    assert!(refused.contains("no number for the field of sensor 1 along x"), "{refused}");
+    assert!(refused.contains("(hysteresis, own)"), "{refused}");
+    let replayed = dir.run(&["replay", &model("model-dead-sensor.toml"), &recordings]);
+    let notes = String::from_utf8_lossy(&replayed.stderr);
+    assert!(notes.contains("no estimate of sensor 0 is valid"), "{notes}");
+    assert!(!String::from_utf8_lossy(&replayed.stdout).contains("NaN"));
+}

@@ -1,5 +1,7 @@
 //! Calibrations uploaded to a running board without a compiler.
 
+use std::fs;
+
 use serde_json::Value;
 use sha2::{Digest, Sha256};
 
@@ -109,4 +111,28 @@ fn what_a_board_cannot_load_is_refused_with_a_remedy() {
     assert_eq!(shown(&dir, &line)["calibration"]["slot"], Value::Null);
     let nobody = dir.failure("upload model.toml");
     assert!(nobody.contains("--port"), "{nobody}");
+
+    // Tables for counts of another sensor, and a fit far from its own design, as with forces in another unit.
+    let model = dir.read("model.toml");
+    let scaled = model.replace("gauss_per_lsb = 0.125", "gauss_per_lsb = 0.1");
+    fs::write(dir.path("scaled.toml"), &scaled).unwrap();
+    for command in
+        [format!("upload scaled.toml --port {line}"), "export scaled.toml -o t.rs".to_owned()]
+    {
+        let refused = dir.failure(&command);
+        assert!(refused.contains("a count of its sensors is 0.1 G"), "{refused}");
+    }
+    let softer: String = model
+        .lines()
+        .map(|line| match line.strip_prefix("stiffness_x_n_per_mm = ") {
+            Some(value) => {
+                format!("stiffness_x_n_per_mm = {:?}\n", 2.0 * value.parse::<f64>().unwrap())
+            }
+            None => format!("{line}\n"),
+        })
+        .collect();
+    fs::write(dir.path("softer.toml"), &softer).unwrap();
+    let refused = dir.failure(&format!("upload softer.toml --port {line}"));
+    assert!(refused.contains("times its design"), "{refused}");
+    dir.stdout(&format!("upload softer.toml --far-from-design --port {line}"));
 }

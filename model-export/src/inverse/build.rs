@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use firmware::config::constants;
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 
@@ -12,7 +13,7 @@ use crate::inverse::compensation::{NotCompensable, OwnedCompensation, board_cond
 use crate::inverse::model_selection::{SelectedModels, select_models};
 use crate::inverse::quantise::TableOverflow;
 use crate::inverse::static_model::{StaticBase, StaticModel};
-use crate::model_file::{ModelFile, SensorModel};
+use crate::model_file::{ModelFile, SensorModel, SensorScale};
 use crate::recordings::error::ErrorKind;
 use crate::recordings::recording::hex;
 use crate::recordings::{DataError, Location};
@@ -42,6 +43,11 @@ pub enum BuildError {
     NotCompensable(#[from] NotCompensable),
     #[error("{place}: the tables cannot be built: {overflow}")]
     TableOverflow { place: Location, overflow: Box<TableOverflow> },
+    #[error(
+        "{place}: a count of its sensors is {} G and their range ±{} G, those of the gripper's firmware have {} G and ±{} G: all forces would be wrong; state gauss_per_lsb and range_gauss of the gripper's sensors in every recording.toml, and fit again",
+        model.0, model.1, board.0, board.1
+    )]
+    OtherSensors { place: Location, model: (f64, f64), board: (f64, f64) },
 }
 
 /// A model without an inverse from field to forces.
@@ -95,6 +101,47 @@ pub struct DeviceModel {
     pub conditions: Vec<(String, Vec<&'static str>)>,
     /// Header of the file of tables.
     pub header: ExportHeader,
+}
+
+/// Parameters to which the forces are proportional, or nearly so.
+const GAINS: [&str; 3] = ["stiffness_x", "stiffness_z", "remanence"];
+
+impl DeviceModel {
+    /// Checks that the counts and the range of the model are those of the sensors of the firmware.
+    ///
+    /// # Errors
+    /// They are others; `place` is the path of the model.
+    pub fn check_sensors(&self, place: &Path) -> Result<(), BuildError> {
+        let SensorScale { gauss_per_lsb, range_gauss, .. } = self.model.sensor_scale;
+        let board = (constants::SENSOR_SCALE.value, constants::SENSOR_RANGE.value);
+        let is_equal = |own: f64, other: f64| (own / other - 1.0).abs() < 1e-6;
+        if is_equal(gauss_per_lsb, board.0) && is_equal(range_gauss, board.1) {
+            return Ok(());
+        }
+        let model = (gauss_per_lsb, range_gauss);
+        Err(BuildError::OtherSensors { place: Location::file(place), model, board })
+    }
+
+    /// The identifiable gain of the fit that differs most from the model's own design: sensor, parameter, and the ratio to the
+    /// design; `None` for polynomials.
+    pub fn largest_deviation(&self) -> Option<(u32, &'static str, f64)> {
+        let design = self.model.design.as_ref()?;
+        let nominal = |name: &str| match name {
+            "stiffness_x" => design.stiffness_x_n_per_mm,
+            "stiffness_z" => design.stiffness_z_n_per_mm,
+            _ => design.magnet.remanence_t,
+        };
+        let of_sensor = |sensor: &SensorModel| {
+            let fitted = |name: &&'static str| {
+                let own = sensor.parameters.get(*name).filter(|own| own.identifiable)?;
+                Some((sensor.number, *name, own.value / nominal(name)))
+            };
+            GAINS.iter().filter_map(fitted).collect::<Vec<_>>()
+        };
+        let size = |ratio: f64| ratio.abs().ln().abs();
+        let all = self.model.sensors.iter().flat_map(of_sensor);
+        all.max_by(|a, b| size(a.2).total_cmp(&size(b.2)))
+    }
 }
 
 /// Reads the model at `path` and builds the tables of all sensors.

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use firmware::checksum::CRC32;
 use firmware::model::calibration::{
     CalibrationMemory, CompensationMemory, Header, MAX_DESCRIPTION_BYTES, POOL_INTEGERS, Payload,
+    format,
 };
 use firmware::model::encoding::{Reader, encode};
 use firmware::system::nv_storage::calibration::MAX_BYTES;
@@ -127,7 +128,12 @@ pub fn encode_calibration(
     };
     let fits = memory.read(&mut Reader::new(&mut source, &mut pool), &mut compensations);
     fits.ok_or(CalibrationError::Memory)?;
-    let header = Header { length: payload.len() as u32, crc: CRC32.checksum(&payload) };
+    let scale = &built.model.sensor_scale;
+    let header = Header {
+        format: format(scale.gauss_per_lsb, scale.range_gauss),
+        length: payload.len() as u32,
+        crc: CRC32.checksum(&payload),
+    };
     let bytes = [&header.to_bytes()[..], &payload].concat();
     if bytes.len() > MAX_BYTES as usize {
         return Err(CalibrationError::Length(bytes.len()));

@@ -23,8 +23,8 @@ const STEPS: u32 = 24;
 const NODE: u16 = 5;
 const KEY: [u8; 16] = *b"sixteen byte key";
 const HEADER_BYTES: usize = 16;
-/// Version of the encoding of a calibration.
-const FORMAT: u32 = 2;
+/// Version 3, sensors of 2000 G with 0.125 G in a count.
+const FORMAT: u32 = 3 << 28 | 2000 << 16 | 12_500;
 /// Marks at the start of a slot: sequence and constant, twice.
 const MARKS: [[u8; 4]; 2] = [*b"cal1", *b"cal2"];
 

@@ -116,7 +116,7 @@ impl CalibrationSlots {
             _ => return None,
         };
         let header = self.verify(flash, slot).await?;
-        let Header { length, crc } = header;
+        let Header { length, crc, .. } = header;
         Some(StoredCalibration { slot, sequence, length, crc, is_finished })
     }
 
@@ -346,6 +346,7 @@ mod tests {
 
     use super::super::flash_model::{Cut, FlashModel, PAGE, Torn, block};
     use super::*;
+    use crate::model::calibration::{FORMAT, format};
     use crate::protocol::authentication::{Key, SessionMac};
 
     fn mac() -> DataMac {
@@ -363,8 +364,12 @@ mod tests {
 
     /// A calibration with this payload.
     fn encoded(payload: &[u8]) -> Vec<u8> {
-        let header = Header { length: payload.len() as u32, crc: CRC32.checksum(payload) };
-        [&header.to_bytes()[..], payload].concat()
+        encoded_as(FORMAT, payload)
+    }
+
+    fn encoded_as(format: u32, payload: &[u8]) -> Vec<u8> {
+        let (length, crc) = (payload.len() as u32, CRC32.checksum(payload));
+        [&Header { format, length, crc }.to_bytes()[..], payload].concat()
     }
 
     /// A calibration of this length with a payload of one byte's value.
@@ -401,6 +406,21 @@ mod tests {
             let stored = upload(&mut flash, &calibration(number, length)).unwrap();
             assert_eq!((stored.slot, stored.sequence), (1 - u32::from(number % 2), number.into()));
             assert_eq!(newest(&mut flash), Some(number.into()));
+        }
+    }
+
+    #[test]
+    fn calibration_for_other_sensors_is_refused() {
+        let mut flash = Memory::new(1);
+        for (gauss_per_lsb, range_gauss, is_valid) in [
+            (0.125, 2000.0, true),
+            (0.1, 2000.0, false),
+            (0.125, 1000.0, false),
+            (0.25, 4000.0, false),
+        ] {
+            let bytes = encoded_as(format(gauss_per_lsb, range_gauss), &[7; 100]);
+            let result = upload(&mut flash, &bytes);
+            assert_eq!(result.is_ok(), is_valid, "{gauss_per_lsb} G, {range_gauss} G");
         }
     }
 

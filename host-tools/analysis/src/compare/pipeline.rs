@@ -17,7 +17,7 @@ use crate::data_quality::{Finding, check_against_model, merge};
 use crate::noise_floor::NoiseSummary;
 use crate::notes::{Note, collect};
 use crate::progress;
-use anyhow::Result;
+use anyhow::{Result, bail};
 use model_export::effects::excitation::source_column;
 use model_export::effects::{EffectTerm, ExcitationSeries};
 use model_export::fit::FitOptions;
@@ -189,8 +189,17 @@ pub(crate) fn evaluate(
         .map(|sensor| std::mem::replace(&mut sensor.columns, ResidualTable::new(0, &[])))
         .collect();
     let axes = axes(&fields, &columns);
-    notes.extend(other_gripper(&axes));
     let effects = model.effect_terms(path)?;
+    check_finite(path, &axes, &effects)?;
+    notes.extend(other_gripper(&axes));
+    let mut without_estimate: Vec<u32> = device
+        .errors
+        .iter()
+        .filter(|force| force.error.rms.is_nan())
+        .map(|force| force.sensor)
+        .collect();
+    without_estimate.dedup();
+    notes.extend(without_estimate.into_iter().map(|sensor| Note::NoValidEstimate { sensor }));
     notes.extend(effects.iter().flat_map(|effect| without_column(effect, &columns)));
     let correlation_s = correlation_s(&columns);
     let columns: Vec<ResidualTable> = columns.into_iter().map(ResidualTable::in_newtons).collect();
@@ -221,6 +230,22 @@ pub(crate) fn evaluate(
         ..Comparison::default()
     };
     Ok(comparison)
+}
+
+/// Checks that the model gives a field in every row.
+fn check_finite(path: &Path, axes: &[FieldAxisErrors], effects: &[EffectTerm]) -> Result<()> {
+    let Some(axis) = axes.iter().find(|axis| !axis.error.rms.is_finite()) else { return Ok(()) };
+    let names: Vec<&str> = effects.iter().map(EffectTerm::name).collect();
+    let of_effects = match names.as_slice() {
+        [] => String::new(),
+        names => format!(" and its effects ({})", names.join(", ")),
+    };
+    bail!(
+        "{}: the model gives no number for the field of sensor {} along {}: a parameter of this sensor{of_effects} has a value that it cannot have, such as a length or a time of zero; correct it, or fit again",
+        path.display(),
+        axis.sensor,
+        axis.axis.letter()
+    )
 }
 
 /// Constant difference of most channels, in noise floors, from which a model is probably that of another gripper. The bias that an

@@ -148,6 +148,11 @@ pub fn evaluate(
         if !sensors().any(|sensor| sensor.number == *number) {
             notes.push(Note::NotReplayed { sensor: *number });
         }
+        let own = sensors().filter(|sensor| sensor.number == *number);
+        let mut measured = own.flat_map(|own| &own.axes).filter(|axis| axis.is_measured).peekable();
+        if measured.peek().is_some() && measured.all(|axis| axis.error.rows() == 0.0) {
+            notes.push(Note::NoValidEstimate { sensor: *number });
+        }
     }
     let missing_inputs: u64 = sensors().map(|sensor| sensor.missing_inputs).sum();
     if missing_inputs > 0 {

@@ -34,5 +34,6 @@ pub const FORCES: [(&str, &str); 2] = [("Fx", "x"), ("Fz", "z")];
 
 /// RMS to three decimals; a dash for `None`.
 pub fn rms_or_dash(moments: Option<Moments>) -> String {
-    moments.map_or_else(|| "-".to_owned(), |moments| format!("{:.3}", moments.rms()))
+    let rms = moments.map(|moments| moments.rms()).filter(|rms| rms.is_finite());
+    rms.map_or_else(|| "-".to_owned(), |rms| format!("{rms:.3}"))
 }

@@ -39,6 +39,9 @@ pub fn text(note: &Note) -> String {
         Note::NotReplayed { sensor } => format!(
             "sensor {sensor} of the model was not replayed: these recordings lack its field or its forces"
         ),
+        Note::NoValidEstimate { sensor } => format!(
+            "no estimate of sensor {sensor} is valid: its field is saturated, or outside of what its model can give; the errors are without this sensor: check its columns, and bias, gap and remanence in the model"
+        ),
         Note::NotRecorded { sensor } => format!(
             "sensor {sensor} of the model has no field or no forces in these recordings and is ignored"
         ),

@@ -40,16 +40,20 @@ fn force_table(evaluation: &ReplayEvaluation) -> String {
     ]);
     for pooled in pooled(&evaluation.fitted) {
         let error = pooled.sum(|track| track.error);
+        let difference = pooled.sum(|track| track.fixed_minus_float).rms();
+        // Without a valid estimate there is none.
+        let or_dash =
+            |value: f64, text: String| if value.is_finite() { text } else { "-".to_owned() };
         table.add_row([
             pooled.sensor.to_string(),
             FORCES[pooled.axis].0.to_owned(),
-            format!("{:.3}", error.rms()),
-            format!("{:+.3}", error.mean()),
-            format!("{:.3}", error.std()),
+            rms_or_dash(Some(error)),
+            or_dash(error.mean(), format!("{:+.3}", error.mean())),
+            or_dash(error.mean(), format!("{:.3}", error.std())),
             rms_or_dash(pooled.tared()),
-            format!("{:.3}", pooled.noise_n()),
-            format!("{:.3}", pooled.sum(|track| track.float).rms()),
-            format!("{:.4}", pooled.sum(|track| track.fixed_minus_float).rms()),
+            or_dash(error.mean(), format!("{:.3}", pooled.noise_n())),
+            rms_or_dash(Some(pooled.sum(|track| track.float))),
+            or_dash(difference, format!("{difference:.4}")),
         ]);
     }
     terminal::right_align(&mut table, 2);
