@@ -4,7 +4,8 @@
 
 CAMPAIGNS is a folder of campaigns, on a disk or in an object store (any address of fsspec, such as ``s3://bucket/campaigns``). The
 work is distributed by Dask; ``--scheduler`` names a cluster that runs already. Each campaign leaves one result file, so that a run
-that was ended goes on where it stopped, and a worker that dies loses nothing; a task that fails is a row, and repeated by the next run. ``fleet.parquet`` has a row for each parameter,
+that was ended goes on where it stopped, and a worker that dies loses nothing; a task that fails is a row, and repeated by the next run; the
+exit status is then 1. Files are replaced at once, never changed in place. ``fleet.parquet`` has a row for each parameter,
 effect and error; its bytes depend on the campaigns alone. ``results`` keeps the model and the tables of each gripper. ``fleet.html`` shows the control charts.
 """
 
@@ -17,6 +18,7 @@ import hashlib
 import html
 import io
 import json
+import os
 import sys
 import tempfile
 import time
@@ -57,6 +59,8 @@ FEWEST = 10
 USUAL_FLOORS = 1.5
 # Number of names on the axis of a chart.
 MAX_NAMES = 40
+# Name of the row of a task that ended with an error.
+FAILED = "failed"
 # Of a normal distribution: standard deviation by median absolute deviation.
 MAD = 1.4826
 
@@ -161,15 +165,39 @@ def _calibrate_to(output: str, base: str, seed: int, address: str) -> None:
     key = hashlib.sha256(json.dumps([listed, base, seed, magpie.__version__]).encode()).hexdigest()
     results, folder = fsspec.core.url_to_fs(output)
     target = f"{folder}/results/{_name(address)}.json"
-    if results.exists(target) and json.loads(results.cat_file(target))["key"] == key:
+    if (known := _result(results, target)) and known["key"] == key:
         return
     rows, written = calibrate(address, base=base, seed=seed)
     results.makedirs(f"{folder}/results", exist_ok=True)
     for suffix, content in written.items():
-        results.pipe_file(target.removesuffix(".json") + suffix, content.encode())
-    # Last, and at once: a worker that dies before leaves no result.
-    with results.transaction, results.open(target, "w") as file:
-        file.write(json.dumps({"key": key, "rows": rows}))
+        _replace(results, target.removesuffix(".json") + suffix, content.encode())
+    # Last: a worker that dies before leaves no result.
+    _replace(results, target, json.dumps({"key": key, "rows": rows}).encode())
+
+
+def _result(files, path: str) -> dict | None:
+    """The content of a result file; None if there is none, or a damaged one."""
+    try:
+        found = json.loads(files.cat_file(path))
+        return found if isinstance(found, dict) and {"key", "rows"} <= found.keys() else None
+    except (FileNotFoundError, ValueError):
+        return None
+
+
+def _replace(files, path: str, content: bytes) -> None:
+    """Writes a file so that there is the former or the new one at any time, as in an object store."""
+    if not isinstance(files, LocalFileSystem):
+        files.pipe_file(path, content)
+        return
+    with tempfile.NamedTemporaryFile(dir=Path(path).parent, prefix=".magpie-", delete=False) as file:
+        try:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+            os.replace(file.name, path)
+        except BaseException:
+            Path(file.name).unlink(missing_ok=True)
+            raise
 
 
 def run(
@@ -199,8 +227,10 @@ def run(
             progress(done, len(campaigns), time.monotonic() - started)
     table = collect(output, names, failed)
     files, folder = fsspec.core.url_to_fs(output)
-    with files.open(f"{folder}/fleet.parquet", "wb") as file:
-        pyarrow.parquet.write_table(table, file, compression="zstd")
+    files.makedirs(folder, exist_ok=True)
+    content = io.BytesIO()
+    pyarrow.parquet.write_table(table, content, compression="zstd")
+    _replace(files, f"{folder}/fleet.parquet", content.getvalue())
     return table.to_pandas()
 
 
@@ -215,13 +245,15 @@ def _carried_out(task, campaigns: Sequence[str], client, workers: int):
                 yield address, error
         return
     import dask
-    from distributed import Client, LocalCluster, as_completed
+    from distributed import Client, LocalCluster, Security, as_completed
 
     own = None
     if not client:
+        # A worker executes what any program of this machine sends to its port: only with the certificate of this run.
+        settings = {"protocol": "tls", "security": Security.temporary(), "dashboard_address": None}
         # One core each: more workers, not more threads.
         with dask.config.set({"distributed.nanny.pre-spawn-environ.RAYON_NUM_THREADS": 1}):
-            own = LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None)
+            own = LocalCluster(n_workers=workers, threads_per_worker=1, **settings)
         client = Client(own)
     try:
         futures = dict(zip(client.map(task, campaigns, pure=False), campaigns))
@@ -236,10 +268,13 @@ def _carried_out(task, campaigns: Sequence[str], client, workers: int):
 def collect(output: str, names: Iterable[str], failed: Mapping[str, str]) -> pyarrow.Table:
     """The rows of the result files, sorted; of a campaign whose task `failed` its error."""
     files, folder = fsspec.core.url_to_fs(output)
-    rows = [{"campaign": name, "kind": "problem", "name": "failed", "verdict": error} for name, error in failed.items()]
+    failed, rows = dict(failed), []
     for name in names:
-        if name not in failed:
-            rows += json.loads(files.cat_file(f"{folder}/results/{name}.json"))["rows"]
+        if name not in failed and (found := _result(files, f"{folder}/results/{name}.json")):
+            rows += found["rows"]
+        else:
+            failed.setdefault(name, "the result file is missing or damaged: run again")
+    rows += [{"campaign": name, "kind": "problem", "name": FAILED, "verdict": error} for name, error in failed.items()]
     rows.sort(key=lambda row: (row["campaign"], row["kind"], row.get("sensor", -1), row["name"], row.get("verdict") or ""))
     return pyarrow.Table.from_pylist(rows, schema=SCHEMA)
 
@@ -363,7 +398,8 @@ def page(table: pandas.DataFrame) -> str:
     return f'<!doctype html><html lang="en"><meta charset="utf-8"><title>Fleet</title><style>{style}</style>{"".join(parts)}</html>'
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command; its exit status is 1 if a campaign was not calibrated."""
     parser = argparse.ArgumentParser(prog="python -m magpie.fleet", description=__doc__.partition("\n")[0])
     parser.add_argument("campaigns", nargs="+", help="folders of campaigns, or addresses of fsspec")
     parser.add_argument("-o", "--output", required=True, help="folder for fleet.parquet, fleet.html and the result files")
@@ -392,7 +428,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     settings = {"workers": options.workers, "base": options.base, "seed": options.seed}
     table = run(campaigns, options.output, client=client, progress=progress, **settings)
     files, folder = fsspec.core.url_to_fs(options.output)
-    files.pipe_file(f"{folder}/fleet.html", page(table).encode())
+    _replace(files, f"{folder}/fleet.html", page(table).encode())
     strange = outliers(table)
     if len(strange):
         print(strange.to_string(index=False))
@@ -401,7 +437,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     elif not len(strange):
         print("No outliers.")
     print(f"\n{table.campaign.nunique()} grippers; written: {options.output}/fleet.parquet, {options.output}/fleet.html")
+    failed = int(((table.kind == "problem") & (table.name == FAILED)).sum())
+    if failed:
+        print(f"{failed} of {len(campaigns)} campaigns failed; run again to repeat them", file=sys.stderr)
+    return 1 if failed else 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

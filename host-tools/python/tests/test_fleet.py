@@ -99,6 +99,44 @@ def test_a_task_that_fails_is_a_row_and_not_the_end(campaigns, tmp_path, monkeyp
     assert len(table[table.campaign == "g01"]) > 20
 
 
+def test_a_damaged_result_is_repeated_and_a_failure_is_the_exit_status(campaigns, tmp_path, monkeypatch, capsys):
+    few, out = tmp_path / "few", tmp_path / "out"
+    for name in ("g00", "g01"):
+        shutil.copytree(campaigns / name, few / name)
+    arguments = [str(few), "-o", str(out), "--workers", "0"]
+    assert fleet.main(arguments) == 0
+    files = ["fleet.parquet", "results/g00.json", "results/g01.json"]
+    whole = [(out / name).read_bytes() for name in files]
+    for torn in (b"", whole[2][: len(whole[2]) // 2], b"[]"):
+        (out / files[2]).write_bytes(torn)
+        assert fleet.main(arguments) == 0
+        assert [(out / name).read_bytes() for name in files] == whole
+    # What is written is there as a whole or not at all.
+    monkeypatch.setattr(fleet.os, "replace", lambda *_: (_ for _ in ()).throw(OSError("the disk is full")))
+    (out / files[1]).write_bytes(b"")
+    with pytest.raises(OSError, match="the disk is full"):
+        fleet.main(arguments)
+    assert (out / files[0]).read_bytes() == whole[0]
+    assert not list(out.rglob(".magpie-*"))
+    monkeypatch.undo()
+
+    def fail(address, **options):
+        raise MemoryError("too large")
+
+    monkeypatch.setattr(fleet, "calibrate", fail)
+    assert fleet.main(arguments) == 1
+    assert "1 of 2 campaigns failed; run again to repeat them" in capsys.readouterr().err
+
+
+def test_the_cluster_of_this_machine_accepts_its_own_client_only(campaigns, tmp_path):
+    from distributed import default_client
+
+    seen = []
+    found = [str(campaigns / name) for name in ("g00", "g01")]
+    fleet.run(found, str(tmp_path), workers=2, progress=lambda *_: seen.append(default_client().scheduler.address))
+    assert seen and all(address.startswith("tls://127.0.0.1:") for address in seen)
+
+
 def test_grippers_that_differ_are_named(campaigns, tmp_path):
     fleet.main([str(campaigns), "-o", str(tmp_path), "--workers", "0"])
     table = pandas.read_parquet(tmp_path / "fleet.parquet")
