@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use serde::{Deserialize, Serialize};
 
 use crate::recordings::error::{ErrorKind, closest_match};
-use crate::recordings::units::{column_unit, column_units};
+use crate::recordings::units::{self, column_unit, column_units};
 
 /// Axis of a field or a force. The magnet moves in the plane of `x` and `z`; `y` points across the gap, along
 /// the magnet's axis.
@@ -97,6 +97,16 @@ pub enum HallColumn {
 }
 
 impl HallColumn {
+    /// Symbol of the unit of a sensor's signal that is no field.
+    pub fn other_unit(&self) -> Option<&'static str> {
+        match self {
+            Self::Field { unit: FieldUnit::Other(suffix), .. } => {
+                Some(units::symbol(suffix).unwrap_or(suffix))
+            }
+            _ => None,
+        }
+    }
+
     /// True for a field in raw counts.
     pub(super) fn is_raw_field(&self) -> bool {
         matches!(self, Self::Field { unit, .. } if *unit == FieldUnit::Lsb)

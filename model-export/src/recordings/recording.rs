@@ -56,6 +56,8 @@ pub struct SensorSeries {
     pub temperature_c: Vec<f64>,
     /// White noise of one board row in gauss, each axis; NaN with too few rows.
     pub noise_g: [f64; 3],
+    /// Symbol of the unit in place of gauss, of a sensor that is not a magnetometer.
+    pub other_unit: Option<&'static str>,
 }
 
 /// Measurements of one axis of one reference sensor.
@@ -226,6 +228,7 @@ impl Recording {
         for (&id, sensor) in &mut self.sensors {
             if let Some(channels) = layout.field_channels(id) {
                 sensor.noise_g = channels.map(|c| summary.hall_noise[c].unwrap_or(f64::NAN));
+                sensor.other_unit = layout.hall[channels[0]].other_unit();
             }
         }
         // A sensor with a temperature and no field is not usable.

@@ -42,7 +42,10 @@ pub fn candidates(
         match obstacle(&candidate, campaign, model) {
             Some(reason) => {
                 // No recording makes up for what the model does not have.
-                let is_of_model = matches!(reason, Reason::NeedsGeometry | Reason::InPolynomial);
+                let is_of_model = matches!(
+                    reason,
+                    Reason::NeedsGeometry | Reason::InPolynomial | Reason::NotAField(_)
+                );
                 let effect = candidate.effect().filter(|_| !is_of_model);
                 untestable.push(UntestableEffect {
                     effect: candidate.name().to_owned(),
@@ -72,6 +75,13 @@ fn obstacle(
         if candidate.stage().acts_on_force() && !model.has_force_input() {
             return Some(Reason::NeedsForce);
         }
+    }
+    let mut sensors = campaign.recordings.iter().flat_map(|recording| recording.sensors.values());
+    if let EffectTerm::Catalogue(effect) = candidate
+        && effect.size.unit.starts_with('G')
+        && let Some(unit) = sensors.find_map(|sensor| sensor.other_unit)
+    {
+        return Some(Reason::NotAField(unit));
     }
     let is_shuffled = |recording: &Recording| recording.noise.order == RowOrder::Shuffled;
     if candidate.depends_on_order() && campaign.recordings.iter().any(is_shuffled) {

@@ -199,6 +199,8 @@ pub enum Reason {
     InPolynomial,
     /// It acts through a force, and none was recorded.
     NeedsForce,
+    /// Its magnitude is a field, and the signal of the sensors is in this unit.
+    NotAField(&'static str),
     /// A column was not recorded in these recordings; none listed: in no recording.
     NotRecorded(String, Vec<String>),
     /// It depends on times that are assumed.
@@ -221,6 +223,7 @@ impl Reason {
                 many => format!("{column} was not recorded in recordings {}", many.join(", ")),
             },
             Self::DoesNotVary(column) => format!("{column} does not vary"),
+            Self::NotAField(unit) => format!("the signal is in {unit} and no magnetic field"),
             Self::AssumedTimes(AssumedTimes::Starts) => {
                 "the times between the recordings are assumed (state start_s and start = \"stated\" in each recording.toml, or in the \
                  mapping starts_s = [...] or one_clock = true)"

@@ -867,7 +867,7 @@ pub fn reason(verdict: &Verdict) -> String {
         Reason::NeedsForce => "it acts through a force, and no force was recorded".to_owned(),
         Reason::DoesNotVary(column) => format!("{column} does not vary beyond its noise"),
         Reason::NoTimeOrder => "the order of the rows carries no time".to_owned(),
-        missing @ (Reason::NotRecorded(..) | Reason::AssumedTimes(_)) => {
+        missing @ (Reason::NotRecorded(..) | Reason::AssumedTimes(_) | Reason::NotAField(_)) => {
             missing.missing_data().unwrap_or_default()
         }
         Reason::Unfitted(error) => format!("the base model cannot be fitted: {error}"),
@@ -913,6 +913,7 @@ pub fn short_reason(verdict: &Verdict) -> String {
         Reason::NoTimeOrder => "rows without time".to_owned(),
         Reason::NotRecorded(column, _) => format!("no {column}"),
         Reason::AssumedTimes(_) => "times are assumed".to_owned(),
+        Reason::NotAField(_) => "no magnetic field".to_owned(),
         Reason::NeedsGeometry
         | Reason::InPolynomial
         | Reason::NeedsForce
