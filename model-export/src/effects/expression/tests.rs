@@ -244,6 +244,7 @@ fn units_of_coefficients_hold_those_of_their_covariates() {
     assert_eq!(units("dx_um = a*fx_n^2 + b*fx_n*opening_mm"), ["um/N^2", "um/(N mm)"]);
     assert_eq!(units("bx_g = a*sin(2*pi*opening_mm/3) + b"), ["G", "G"]);
     assert_eq!(units("bx_g = a*supply_v/opening_mm"), ["G mm/V"]);
+    assert_eq!(units("bx_g = a*temp_c^3 + b*temp_c^2"), ["G/K^3", "G/K^2"]);
     assert_eq!(units("bx_g = a*duty_ratio + b*abs(fz_n)"), ["G", "G/N"]);
     assert_eq!(units("fx_n = a*fx_rate_n_per_s + b*time_s"), ["N/(N/s)", "N/s"]);
 }

@@ -3,8 +3,9 @@
 use super::{Expression, TimeConstant};
 use crate::recordings::units::{column_unit, symbol};
 
-/// Values of a covariate at which the power with which a term depends on it is determined: positive, and away from zero.
-const AT: [f64; 5] = [1.0, 2.0, 3.0, 4.0, 5.0];
+/// Values of a covariate at which the power with which a term depends on it is determined: positive, away from zero, in even steps
+/// that are no simple fraction of a period.
+const AT: [f64; 6] = [1.0, 1.87, 2.74, 3.61, 4.48, 5.35];
 /// Relative deviation up to which two numbers are equal.
 const EQUAL: f64 = 1e-9;
 
@@ -77,7 +78,7 @@ impl Expression {
         }
         // A polynomial's differences vanish above its degree.
         let mut differences = values.to_vec();
-        for degree in 0..3 {
+        for degree in 0..4 {
             differences = differences.windows(2).map(|pair| pair[1] - pair[0]).collect();
             if differences.iter().all(|difference| difference.abs() < EQUAL * size) {
                 return degree;
