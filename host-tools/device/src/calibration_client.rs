@@ -17,7 +17,7 @@ use model_export::inverse::calibration::CalibrationDescription;
 use serde::Serialize;
 
 use crate::session::SessionSource;
-use crate::source::Source;
+use crate::source::{ConnectionLost, Source};
 
 /// Timeout of a request and number of attempts.
 const PATIENCE: Duration = Duration::from_millis(500);
@@ -387,10 +387,7 @@ fn ask<T>(
             return Ok(answer);
         }
     }
-    bail!(
-        "{}: no gripper replies; is this the right line or bus, is the board powered, and is its firmware running?",
-        source.name()
-    )
+    Err(ConnectionLost::unreachable(&source.name()).into())
 }
 
 /// Sends a request once; none without an answer in time.

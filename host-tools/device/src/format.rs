@@ -7,8 +7,8 @@ use firmware::estimator::Validity;
 use firmware::fixed_point::Force;
 use firmware::grip::states::{PowerState, TaskState};
 use firmware::protocol::SERIAL;
-use firmware::protocol::TEMPERATURE_UNKNOWN;
-use firmware::protocol::messages::{FaultEvent, Power};
+use firmware::protocol::messages::{FaultEvent, GripStatus, Power};
+use firmware::protocol::{TEMPERATURE_UNKNOWN, opening_mm};
 use firmware::sensors::hall;
 use firmware::system::faults::Fault;
 use firmware::system::nv_storage::ParameterOrigin;
@@ -133,6 +133,7 @@ pub fn state_json(state: &GripperState, now_s: f64) -> Value {
             "failed_transfers": latest.value.i2c_errors,
             "missed_ticks": latest.value.missed_ticks,
         })),
+        "grip": state.grip.map(|latest| grip_json(&latest.value)),
         "covariates": state.covariates.map(|latest| covariates_json(&latest.value)),
         "power": state.power.map(|latest| power_json(&latest.value)),
         "ticks_hz": state.ticks_hz,
@@ -231,6 +232,23 @@ fn covariates_json(covariates: &Covariates) -> Value {
         "accel_age_us": covariates.acceleration.map(|sample| sample.age_us),
         "roll_pitch_yaw_rad": covariates.attitude.map(|sample| sample.radians()),
         "attitude_age_ms": covariates.attitude.map(|sample| sample.age_ms),
+    })
+}
+
+/// Grasping force, opening and current as text.
+pub fn grip_line(grip: &GripStatus) -> String {
+    let opening = opening_mm(grip).map_or_else(|| "unknown".to_owned(), |mm| format!("{mm:.2} mm"));
+    let (force_n, current_a) = (0.1 * f64::from(grip.force), 0.01 * f64::from(grip.current));
+    format!("force {force_n:.1} N, opening {opening}, current {current_a:.2} A")
+}
+
+fn grip_json(grip: &GripStatus) -> Value {
+    let rounded = |value: f64| (1e2 * value).round() / 1e2;
+    json!({
+        "force_n": rounded(0.1 * f64::from(grip.force)),
+        "opening_mm": opening_mm(grip).map(rounded),
+        "opening_mm_s": rounded(0.01 * f64::from(grip.speed)),
+        "current_a": rounded(0.01 * f64::from(grip.current)),
     })
 }
 

@@ -15,6 +15,7 @@ use model_export::output::StagingDir;
 use model_export::recordings::align::Alignment;
 
 use crate::commands::args::parse_number;
+use crate::commands::result_code::ResultCode;
 use analysis::compare::campaign_reader::read_campaign;
 use analysis::fit::fit_campaign;
 use device::key_file;
@@ -326,6 +327,17 @@ pub fn interrupted() -> Result<Arc<AtomicBool>> {
     let flag = Arc::new(AtomicBool::new(false));
     for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
         signal_hook::flag::register(signal, flag.clone())
+            .context("cannot install the handler for Ctrl-C")?;
+    }
+    Ok(flag)
+}
+
+/// A flag after which Ctrl-C or SIGTERM ends the process.
+pub fn end_on_interrupt() -> Result<Arc<AtomicBool>> {
+    let flag = Arc::new(AtomicBool::new(false));
+    let status = ResultCode::Interrupted.status().into();
+    for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
+        signal_hook::flag::register_conditional_shutdown(signal, status, flag.clone())
             .context("cannot install the handler for Ctrl-C")?;
     }
     Ok(flag)

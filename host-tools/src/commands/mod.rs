@@ -24,6 +24,7 @@ pub mod monitor;
 pub mod parameter;
 pub mod record;
 pub mod replay;
+pub mod result_code;
 pub mod shell;
 pub mod simulate;
 pub mod tare;
@@ -32,6 +33,7 @@ pub mod upload;
 pub mod workbench;
 
 use std::ffi::OsString;
+use std::io::Write;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -41,6 +43,7 @@ use anyhow::Context;
 use clap::{CommandFactory, Parser, Subcommand};
 use firmware::sensors::hall::SENSORS;
 use model_export::inverse::build::{DeviceModel, ExportHeader};
+use result_code::ResultCode;
 use signal_hook::consts::SIGINT;
 
 /// Calibrates Hall-effect force sensors of a robot gripper, diagnoses missing physical effects, and operates the
@@ -138,8 +141,9 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
             if let Some(error) = error.downcast_ref::<ErrorWithNotes>() {
                 print_notes(&error.notes);
             }
-            eprintln!("magpie: {error:#}");
-            ExitCode::FAILURE
+            // Where nobody reads them, the status remains.
+            let _ = writeln!(std::io::stderr(), "magpie: {error:#}");
+            ExitCode::from(ResultCode::of(&error).status())
         }
     }
 }
@@ -161,7 +165,7 @@ fn first_interrupt() -> anyhow::Result<Arc<AtomicBool>> {
 /// Prints notes on stderr.
 fn print_notes(notes: &[Note]) {
     for note in notes {
-        eprintln!("note: {}", report::text::notes::text(note));
+        let _ = writeln!(std::io::stderr(), "note: {}", report::text::notes::text(note));
     }
 }
 

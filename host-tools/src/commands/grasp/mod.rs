@@ -14,6 +14,8 @@ use anyhow::{Result, bail};
 use firmware::config::constants;
 
 use crate::commands::connection::{PortArgs, parse_seconds};
+use crate::commands::result_code;
+use device::session::foot_openings;
 use report::html::drive;
 use report::text::grasp::{format_motion, motion_json};
 use report::text::terminal;
@@ -26,26 +28,7 @@ use sim::drivetrain::parameters::Lead;
 #[derive(Debug, clap::Args)]
 #[command(
     allow_negative_numbers = true,
-    after_help = "\
-Examples:
-  cargo magpie grasp --position 20 -o grasp.html
-  cargo magpie grasp --speed 58.3 --screw b --json
-  cargo magpie grasp --position 60 --speed 10 --from 20 --scatter 0.2 --seed 7
-  cargo magpie grasp --force 100 --object rigid -o grasp.html
-  cargo magpie grasp --force 50 --compare current-limit
-  cargo magpie grasp --foot 150 --lasts 10 -o landing.html
-  cargo magpie grasp --foot 150 --contact line
-  cargo magpie grasp --port /dev/ttyACM0 --home --position 40    # moves a real gripper
-  cargo magpie grasp --port /dev/ttyACM0 --position 20 --uncalibrated
-  cargo magpie grasp --can can0 --force 80 --seconds 10
-  cargo magpie grasp --can 127.0.0.1:29536 --home --force 80     # `cargo magpie emulate`
-  # frees what is gripped, also under a fault of the sensors
-  cargo magpie grasp --port /dev/ttyACM0 --release
-  cargo magpie grasp --can can0 --stop
-
-With --port or --can it arms, enables, homes (only with --home) and commands the gripper, and prints state, force and \
-opening. Ctrl-C or the end of --seconds releases a grasp or leaves ground contact, and disables the drive: the fingers open \
-then. A second Ctrl-C is an emergency stop, after which they do not move."
+    after_help = help()
 )]
 #[command(group = clap::ArgGroup::new("setpoint").required(true).multiple(true)
     .args(["position", "speed", "force", "foot", "release", "stop"]))]
@@ -127,6 +110,37 @@ pub struct Args {
     json: bool,
 }
 
+/// Examples, behaviour and limits for `--help`.
+const EXAMPLES: &str = "\
+Examples:
+  cargo magpie grasp --position 20 -o grasp.html
+  cargo magpie grasp --speed 58.3 --screw b --json
+  cargo magpie grasp --position 60 --speed 10 --from 20 --scatter 0.2 --seed 7
+  cargo magpie grasp --force 100 --object rigid -o grasp.html
+  cargo magpie grasp --force 50 --compare current-limit
+  cargo magpie grasp --foot 150 --lasts 10 -o landing.html
+  cargo magpie grasp --foot 150 --contact line
+  cargo magpie grasp --port /dev/ttyACM0 --home --position 40    # moves a real gripper
+  cargo magpie grasp --port /dev/ttyACM0 --position 20 --uncalibrated
+  cargo magpie grasp --can can0 --force 80 --seconds 10
+  cargo magpie grasp --can 127.0.0.1:29536 --home --force 80     # `cargo magpie emulate`
+  # frees what is gripped, also under a fault of the sensors
+  cargo magpie grasp --port /dev/ttyACM0 --release
+  cargo magpie grasp --can can0 --stop
+
+With --port or --can it arms, enables, homes (only with --home) and commands the gripper, and prints state, force and \
+opening. Ctrl-C or the end of --seconds opens a grasp of this command or leaves its ground contact, and disables the drive. \
+A second Ctrl-C is an emergency stop, after which the fingers do not move. What was gripped before the command stays \
+gripped, however it ends, except with --release: a refusal, a lost connection or a kill opens nothing.
+
+Only one program at a time can use a serial port: beside another one, --stop and --release work over the CAN bus only.
+";
+
+/// What follows the options in `--help`.
+fn help() -> String {
+    format!("{EXAMPLES}\nGround contact (--foot): {}.\n\n{}", foot_openings(), result_code::HELP)
+}
+
 /// The grasped object by its contact stiffness, including the flexures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum ObjectStiffness {
@@ -192,19 +206,19 @@ pub fn run(args: &Args) -> Result<()> {
 }
 
 /// Checks that an opening is within the travel.
-fn check_opening(option: &str, mm: f64) -> Result<()> {
+fn check_opening(option: &str, mm: f64, min_mm: f64) -> Result<()> {
     let max_mm = constants::STROKE.value - MARGIN_MM;
-    if !(MARGIN_MM..=max_mm).contains(&mm) {
-        bail!("{option} {mm:?} is not possible here; give {MARGIN_MM} to {max_mm} mm");
+    if !(min_mm..=max_mm).contains(&mm) {
+        bail!("{option} {mm:?} is not possible here; give {min_mm} to {max_mm} mm");
     }
     Ok(())
 }
 
 /// The set-point, checked against the limits of the drive.
 fn setpoint(args: &Args, lead: Lead) -> Result<DriveTarget> {
-    check_opening("--from", args.from)?;
+    check_opening("--from", args.from, MARGIN_MM)?;
     if let Some(opening_mm) = args.position {
-        check_opening("--position", opening_mm)?;
+        check_opening("--position", opening_mm, MARGIN_MM)?;
     }
     let stroke_mm = constants::STROKE.value;
     let full_mm_s = lead.closing_mm_s();

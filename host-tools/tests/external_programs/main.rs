@@ -2,10 +2,13 @@
 //! this machine has no compiler for the chip every test is listed as ignored; `EMULATION=required` makes that a failure.
 
 #[cfg(unix)]
+mod control;
+#[cfg(unix)]
 #[allow(dead_code)] // The models behind them are another test's.
-#[path = "emulation/images.rs"]
+#[path = "../emulation/images.rs"]
 mod images;
 #[cfg(unix)]
+#[path = "../workdir/mod.rs"]
 mod workdir;
 
 #[cfg(unix)]
@@ -30,6 +33,7 @@ mod unix {
     use rustix::process::Signal;
     use serde_json::Value;
 
+    use crate::control;
     use crate::images::{self, Variant};
     use crate::workdir::running::Running;
     use crate::workdir::served::Served;
@@ -50,6 +54,19 @@ mod unix {
         }
         // The longest first: they wait for the clock while others compute.
         let trials = [
+            Trial::test(
+                "no_exit_releases_a_foreign_grip",
+                control::no_exit_releases_a_foreign_grip,
+            ),
+            Trial::test(
+                "no_exit_moves_fingers_of_an_earlier_host",
+                control::no_exit_moves_fingers_of_an_earlier_host,
+            ),
+            Trial::test("results_have_codes", control::results_have_codes),
+            Trial::test(
+                "a_grip_that_fails_has_its_reason",
+                control::a_grip_that_fails_has_its_reason,
+            ),
             Trial::test("motor_and_screw_are_identified", identification),
             Trial::test("the_tutorial_flashes_and_drives", tutorial),
             Trial::test("grip_homes_and_holds_a_force_over_the_can_bus", grip),
@@ -65,23 +82,23 @@ mod unix {
         libtest_mimic::run(&arguments, trials).exit_code()
     }
 
-    fn path(variant: Variant) -> Result<String, Failed> {
+    pub fn path(variant: Variant) -> Result<String, Failed> {
         Ok(images::get(variant)?.path.display().to_string())
     }
 
     /// An emulation that runs, with serial line and CAN bus as other programs name them.
-    struct Emulation {
+    pub struct Emulation {
         running: Running,
-        serial: String,
-        can: String,
+        pub serial: String,
+        pub can: String,
     }
 
     /// Half of real time: this machine may be busy with other tests, and keep a program waiting for longer than the
     /// timeout of its commands (see [`Emulation::allow_delays`]).
-    const SLOW: &str = "--speed 0.5 --json";
+    pub const SLOW: &str = "--speed 0.5 --json";
 
     impl Emulation {
-        fn start(dir: &WorkDir, image: &str, options: &str) -> Self {
+        pub fn start(dir: &WorkDir, image: &str, options: &str) -> Self {
             let mut running = Running::start(dir, &format!("emulate {image} {options}"));
             let mut message = BufReader::new(running.0.stderr.take().unwrap());
             let mut of = |option: &str| {
@@ -99,12 +116,12 @@ mod unix {
         }
 
         /// Sets the longest timeout of commands that the gripper has: at half speed, a second.
-        fn allow_delays(&self, dir: &WorkDir) {
+        pub fn allow_delays(&self, dir: &WorkDir) {
             dir.json(&format!("parameter command_timeout 500 --port {} --json", self.serial));
         }
 
         /// Ends it with Ctrl-C; what it measured.
-        fn end(mut self) -> Value {
+        pub fn end(mut self) -> Value {
             self.running.signal(Signal::INT);
             let measured = self.running.objects().next().unwrap();
             assert!(self.running.0.wait().unwrap().success());
@@ -112,7 +129,7 @@ mod unix {
         }
     }
 
-    fn number(value: &Value) -> f64 {
+    pub fn number(value: &Value) -> f64 {
         value.as_f64().unwrap_or(f64::NAN)
     }
 
