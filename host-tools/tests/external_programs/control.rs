@@ -213,6 +213,8 @@ pub fn no_exit_releases_a_foreign_grip() -> Result<(), Failed> {
         (Signal::KILL, None),
     ] {
         let host = cell.host(&cell.emulation.can, &line, &holds);
+        // Its own command is in effect.
+        thread::sleep(Duration::from_secs(2));
         host.signal(signal);
         let (ended, lines) = host.end();
         assert_eq!(ended, status, "{signal:?}: {lines}");
