@@ -166,8 +166,15 @@ pub fn estimate(fields: &[FieldSeries], forces: &[ForceSeries], search_s: f64) -
             coarse = costs;
         }
     }
-    let [rival, depth] = distinctness(&coarse, best_s, unexplained(best_s));
-    let delay = Delay { rival, depth, ..refine(&channels, best_s)? };
+    let delay = refine(&channels, best_s)?;
+    let best = unexplained(delay.delay_s);
+    // A minimum of the coarse grid is up to half a step beside that of the curve.
+    let refined = |near_s| refine(&channels, near_s).map(|delay| unexplained(delay.delay_s));
+    let rival = rival_s(&coarse, delay.delay_s).and_then(refined);
+    let rival = rival.map_or(0.0, |rival| (best - rival).exp());
+    coarse.sort_by(|a, b| a.1.total_cmp(&b.1));
+    let depth = coarse.get(coarse.len() / 2).map_or(1.0, |(_, median)| (best - median).exp());
+    let delay = Delay { rival, depth, ..delay };
     let by_axis = [0, 1].map(|axis| {
         let of_axis: Vec<Channel> =
             channels.iter().filter(|channel| channel.axis == axis).cloned().collect();
@@ -185,21 +192,15 @@ pub fn estimate(fields: &[FieldSeries], forces: &[ForceSeries], search_s: f64) -
     })
 }
 
-/// [`Delay::rival`] and [`Delay::depth`] of a delay, from the logarithms of the unexplained variance over the search range.
-fn distinctness(coarse: &[(f64, f64)], best_s: f64, best: f64) -> [f64; 2] {
-    let is_separate = |delay_s: f64| (delay_s - best_s).abs() > 1.5 * STEPS_S[0];
-    // At the ends of the range the descent may go on outside.
-    let minima = coarse.windows(3).filter_map(|window| {
-        let [(_, before), (delay_s, value), (_, after)] = window else { return None };
-        (value <= before && value <= after && is_separate(*delay_s)).then_some(*value)
-    });
-    let ends = [coarse.first(), coarse.last()].into_iter().flatten();
-    let ends = ends.filter(|(delay_s, _)| is_separate(*delay_s)).map(|(_, value)| *value);
-    let rival = minima.chain(ends).reduce(f64::min);
-    let mut values: Vec<f64> = coarse.iter().map(|(_, value)| *value).collect();
-    values.sort_by(f64::total_cmp);
-    let median = values.get(values.len() / 2).copied().unwrap_or(best);
-    [rival.map_or(0.0, |rival| (best - rival).exp()), (best - median).exp()]
+/// Best separate delay: a minimum of the unexplained variance over the search range, or its end.
+fn rival_s(coarse: &[(f64, f64)], best_s: f64) -> Option<f64> {
+    let is_minimum = |place: usize| {
+        let neighbours = [place.checked_sub(1), Some(place + 1)].into_iter().flatten();
+        neighbours.filter_map(|place| coarse.get(place)).all(|(_, other)| coarse[place].1 <= *other)
+    };
+    let minima = (0..coarse.len()).filter(|place| is_minimum(*place)).map(|place| coarse[place]);
+    let separate = minima.filter(|(delay_s, _)| (delay_s - best_s).abs() > 1.5 * STEPS_S[0]);
+    separate.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(delay_s, _)| delay_s)
 }
 
 /// Share of the variance of each force that the fields at its times do not explain; NaN where it does not vary.
