@@ -226,6 +226,9 @@ pub fn tare(source: &mut SessionSource<'_>, is_unloaded: bool, saves: bool) -> R
             return Ok(());
         }
         (status::ARMED, _) => "a host is armed or the motor is driven".to_owned(),
+        (status::GRIPPING, _) if is_unloaded => {
+            "an object is gripped: open the fingers first (`cargo magpie grasp --release`)".to_owned()
+        }
         (status::GRIPPING, _) => "both fingers press on something, or seem to: remove it; if nothing is there, the tables \
                                   do not fit and --unloaded tares nevertheless"
             .to_owned(),

@@ -85,7 +85,8 @@ fn refused(path: &str, kind: serialport::ErrorKind, description: &str) -> anyhow
              again"
         ),
         NoDevice => anyhow!(
-            "{path}: in use by another program ({description}); close it (`fuser {path}` names it)"
+            "{path}: in use by another program, and a serial port serves one at a time ({description}): close that program \
+             (`fuser {path}` names it), or use the CAN bus, which also carries --stop and --release beside it"
         ),
         _ => anyhow!("{path}: cannot be opened as a serial port ({description}); {}", ports()),
     }

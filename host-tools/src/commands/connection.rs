@@ -136,7 +136,7 @@ impl PortArgs {
         arguments
     }
 
-    /// Does some work in a session with the gripper; states that it is unprotected if it is.
+    /// Does some work in a session with the gripper.
     ///
     /// # Errors
     /// As [`with_session`].
@@ -145,15 +145,7 @@ impl PortArgs {
         source: &mut dyn Source,
         work: impl FnOnce(&mut SessionSource<'_>) -> Result<T>,
     ) -> Result<T> {
-        let credentials = self.credentials()?;
-        let name = source.name();
-        with_session(source, credentials, |session| {
-            // A gripper with a key would have refused.
-            if credentials.key == Key::NONE {
-                print_unprotected(&name);
-            }
-            work(session)
-        })
+        with_session(source, self.credentials()?, work)
     }
 
     /// True if a port or bus is given.

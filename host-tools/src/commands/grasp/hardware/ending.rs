@@ -25,7 +25,12 @@ impl Session {
         // A further Ctrl-C is an emergency stop.
         let was_interrupted = self.interrupted.swap(false, Relaxed);
         self.is_shutting_down = true;
-        let result = self.undo().and(self.end_session());
+        // A command that was refused has begun nothing.
+        let is_refused = self.client.refused.take().is_some();
+        let has_acted = self.has_enabled || self.has_commanded && !is_refused;
+        let result = if has_acted { self.undo() } else { Ok(()) };
+        self.is_left_gripped = !self.owns_grip && self.task().is_some_and(is_gripping);
+        let result = result.and(self.end_session());
         self.interrupted.fetch_or(was_interrupted, Relaxed);
         result
     }
@@ -50,9 +55,8 @@ impl Session {
 
     /// Opens an own grasp, leaves own ground contact, stops an own motion, and disables the drive.
     fn undo(&mut self) -> Result<()> {
-        let has_acted = self.has_enabled || self.has_commanded && self.client.refused.is_none();
-        self.is_left_gripped = !self.owns_grip && self.task().is_some_and(is_gripping);
-        if !has_acted || self.is_left_gripped || !self.client.is_armed() {
+        let is_foreign = !self.owns_grip && self.task().is_some_and(is_gripping);
+        if is_foreign || !self.client.is_armed() {
             return Ok(());
         }
         // The state of the last heartbeat may be that before the command.
@@ -61,14 +65,10 @@ impl Session {
         while let Some(task) = self.task() {
             let (mode, failed) = match task {
                 task if is_gripping(task) && self.owns_grip => (mode::RELEASE, "release timed out"),
-                task if is_gripping(task) => {
-                    self.is_left_gripped = true;
-                    return Ok(());
-                }
+                task if is_gripping(task) => return Ok(()),
                 TaskState::Foot if !self.owns_foot => return Ok(()),
                 TaskState::Foot => (mode::LEAVE, "leaving the ground contact timed out"),
-                task if task.moves() => (mode::STOP, "stopping timed out"),
-                TaskState::Stopping | TaskState::ContactStop => (mode::STOP, "stopping timed out"),
+                task if is_in_motion(task) => (mode::STOP, "stopping timed out"),
                 _ => (mode::DISABLE, "disabling the drive timed out"),
             };
             let command = match mode {
@@ -88,9 +88,7 @@ impl Session {
                     matches!(task, TaskState::Idle | TaskState::Unhomed)
                 }
                 (mode::LEAVE, Some(task)) => task != TaskState::Foot,
-                (_, Some(task)) => {
-                    !task.moves() && !matches!(task, TaskState::Stopping | TaskState::ContactStop)
-                }
+                (_, Some(task)) => !is_in_motion(task),
             };
             self.finish(limit_s, is_done, failed)?;
             if self.client.elapsed_s() >= end_s {
@@ -117,4 +115,9 @@ impl Session {
         self.client.stop()?;
         Err(ResultCode::Fault.error(text))
     }
+}
+
+/// Whether the fingers move or are being stopped.
+const fn is_in_motion(task: TaskState) -> bool {
+    task.moves() || matches!(task, TaskState::Stopping | TaskState::ContactStop)
 }

@@ -407,10 +407,13 @@ impl Session {
 
     fn enable(&mut self, _: &Args) -> Result<WaitResult> {
         let is_enabled = |session: &Self| session.code().is_some_and(|code| code >= TASK_CODE);
-        self.has_enabled = !is_enabled(self);
+        let was_enabled = is_enabled(self);
+        self.has_enabled = !was_enabled;
         // Where the drive is enabled already, it is a sign of life.
         self.client.command(mode_command(mode::ENABLE));
-        let waited = self.wait(ENABLE_S, is_enabled)?;
+        let waited = self.wait(ENABLE_S, is_enabled);
+        self.has_enabled &= self.client.refused.is_none();
+        let waited = waited?;
         if waited == WaitResult::TimedOut {
             return Err(ResultCode::Refused.error(format!(
                 "the drive was not enabled{}{}",
