@@ -75,7 +75,8 @@ pub struct Args {
     /// Open without enabling, homing or valid forces, to this opening [default: fully].
     #[arg(long, value_name = "MM", requires = "hardware", conflicts_with_all = ["position", "speed", "force", "foot"])]
     release: Option<Option<f64>>,
-    /// Stop the gripper, whoever controls it; it keeps what it holds until the stop is cleared (--clear-faults).
+    /// Stop the gripper, whoever controls it (not over a serial port that another program uses); it keeps what it holds until the
+    /// stop is cleared (--clear-faults).
     #[arg(long, requires = "hardware", conflicts_with_all = ["position", "speed", "force", "foot", "release", "clear_faults"])]
     stop: bool,
     /// Contact with the ground: flat on closed fingers, or on the line between open ones.
