@@ -339,6 +339,18 @@ pub fn results_have_codes() -> Result<(), Failed> {
     assert_eq!((status, &refused["result"]["code"]), (15, &"refused".into()), "{refused}");
     let message = refused["error"].as_str().unwrap();
     assert!(message.contains("at most 1 mm") && message.contains("40 ± 1 mm"), "{message}");
+    // A reader that has closed its end ends the output, not the hold.
+    let (reader, writer) = std::io::pipe()?;
+    drop(reader);
+    let status = cell
+        .dir
+        .command(&cell.line("--force 40 --seconds 1"))
+        .stdin(Stdio::null())
+        .stdout(writer.try_clone()?)
+        .stderr(writer)
+        .status()?;
+    assert_eq!(status.code(), Some(0));
+    cell.grasp("--position 50");
     // Ctrl-C in the approach.
     let host = cell.host(&cell.emulation.can, "--force 10", &["approach"]);
     host.signal(Signal::INT);
@@ -371,6 +383,30 @@ pub fn results_have_codes() -> Result<(), Failed> {
         assert_eq!(output.status.code(), Some(18), "{command}: {message}");
         assert!(message.contains("connection lost"), "{command}: {message}");
     }
+    Ok(())
+}
+
+/// Cause and cure are the last that is printed, and end the next attempt at once, too.
+pub fn first_home_on_the_default_image_names_the_cure() -> Result<(), Failed> {
+    let dir = WorkDir::empty();
+    let emulation =
+        Emulation::start(&dir, &path(Variant::Default)?, &format!("--opening 10 {SLOW}"));
+    emulation.allow_delays(&dir);
+    let cell = Cell { dir, emulation };
+    let output = cell.dir.run(&cell.line("--home --position 60"));
+    let message = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(16), "{message}");
+    let last = message.lines().last().unwrap();
+    assert!(last.contains("cargo magpie upload MODEL --nominal"), "{message}");
+    assert_eq!(message.matches("homing failed: stroke wrong").count(), 1, "{message}");
+    let begun = Instant::now();
+    let (status, refused) = cell.failed("--home --position 60");
+    assert_eq!(status, 15, "{refused}");
+    let words = refused["error"].as_str().unwrap();
+    assert_eq!(words.matches("a fault is active").count(), 1, "{words}");
+    assert!(words.contains("stroke wrong"), "{words}");
+    // Known at once: far from the timeout of 10 s.
+    assert!(begun.elapsed() < Duration::from_secs(8), "{:?}", begun.elapsed());
     Ok(())
 }
 

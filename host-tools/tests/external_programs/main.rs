@@ -64,6 +64,10 @@ mod unix {
             ),
             Trial::test("results_have_codes", control::results_have_codes),
             Trial::test(
+                "first_home_on_the_default_image_names_the_cure",
+                control::first_home_on_the_default_image_names_the_cure,
+            ),
+            Trial::test(
                 "a_grip_that_fails_has_its_reason",
                 control::a_grip_that_fails_has_its_reason,
             ),
@@ -255,7 +259,7 @@ mod unix {
         let tutorial = std::fs::read_to_string(folder().join("flash-and-drive.md"))?;
         let dir = WorkDir::empty();
         link_data(&dir);
-        let image = path(Variant::Nominal)?;
+        let image = path(Variant::Default)?;
         let (mut emulation, mut others) = (None, Vec::new());
         let mut commands = 0;
         for step in steps(&tutorial) {
@@ -264,8 +268,7 @@ mod unix {
             };
             commands += 1;
             let Some(arguments) = arguments else {
-                // The image above has these tables.
-                assert_eq!(command, "MAGPIE_TABLES=nominal.rs cargo image");
+                assert_eq!(command, "cargo image");
                 continue;
             };
             if arguments[0] == "emulate" {
