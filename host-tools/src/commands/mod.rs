@@ -33,7 +33,6 @@ pub mod upload;
 pub mod workbench;
 
 use std::ffi::OsString;
-use std::io::Write;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -141,8 +140,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
             if let Some(error) = error.downcast_ref::<ErrorWithNotes>() {
                 print_notes(&error.notes);
             }
-            // Where nobody reads them, the status remains.
-            let _ = writeln!(std::io::stderr(), "magpie: {error:#}");
+            eprintln!("magpie: {error:#}");
             ExitCode::from(ResultCode::of(&error).status())
         }
     }
@@ -165,7 +163,7 @@ fn first_interrupt() -> anyhow::Result<Arc<AtomicBool>> {
 /// Prints notes on stderr.
 fn print_notes(notes: &[Note]) {
     for note in notes {
-        let _ = writeln!(std::io::stderr(), "note: {}", report::text::notes::text(note));
+        eprintln!("note: {}", report::text::notes::text(note));
     }
 }
 

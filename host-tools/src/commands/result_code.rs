@@ -45,7 +45,7 @@ macro_rules! codes {
 codes! {
     Reached "reached" 0 "the set-point was reached, and held for the given time";
     Failed "failed" 1 "any other error";
-    NoObject "no_object" 10 "the fingers met without an object";
+    NoObject "no_object" 10 "the fingers met, or closed beyond --width, without an object";
     ObjectLost "object_lost" 11 "the force fell: the object is no longer between the fingers";
     Slipped "slipped" 12 "held until the end, but the object slipped meanwhile";
     TooSoft "too_soft" 13 "contact, but the force was not reached in time";
@@ -54,6 +54,7 @@ codes! {
     Fault "fault" 16 "a fault or an emergency stop ended the motion";
     Timeout "timeout" 17 "not reached in time, or commands arrived too late";
     ConnectionLost "connection_lost" 18 "the connection ended, or the gripper is silent";
+    WrongWidth "wrong_width" 19 "the object is wider than --width";
     Interrupted "interrupted" 130 "Ctrl-C or SIGTERM before the end";
 }
 

@@ -233,7 +233,11 @@ pub fn no_exit_releases_a_foreign_grip() -> Result<(), Failed> {
     thread::sleep(Duration::from_millis(2500));
     cell.assert_holds(&before, "a broken line");
     cell.end_of_reader(&before, &line);
-    cell.grasp("--release 60");
+    // A stop is no release either.
+    cell.grasp("--stop");
+    let stopped = cell.observe();
+    assert!((stopped.force_n - before.force_n).abs() < TOLERANCE_N, "{stopped:?}");
+    cell.grasp("--release 60 --clear-faults");
     let opened = cell.observe();
     assert!(opened.force_n < 5.0 && opened.opening_mm > 45.0, "{opened:?}");
     Ok(())
@@ -339,6 +343,20 @@ pub fn results_have_codes() -> Result<(), Failed> {
     assert_eq!((status, &refused["result"]["code"]), (15, &"refused".into()), "{refused}");
     let message = refused["error"].as_str().unwrap();
     assert!(message.contains("at most 1 mm") && message.contains("40 ± 1 mm"), "{message}");
+    // Held without a host, until the release; events as they come.
+    let output = cell.dir.stdout(&cell.line("--force 40 --keep --json-lines"));
+    let lines: Vec<Value> = String::from_utf8(output)?
+        .lines()
+        .map(|line| serde_json::from_str(line))
+        .collect::<Result<_, _>>()?;
+    let count = |event: &str| lines.iter().filter(|line| line["event"] == event).count();
+    assert!(count("state") > 3 && count("point") > 10 && count("result") == 1, "{lines:?}");
+    let last = lines.last().unwrap();
+    assert_eq!((&last["event"], &last["code"]), (&"result".into(), &"reached".into()), "{last}");
+    let held = cell.observe();
+    assert!(held.state.starts_with("hold") && !held.is_commanded, "{held:?}");
+    assert!((held.force_n - 40.0).abs() < TOLERANCE_N, "{held:?}");
+    cell.grasp("--release 50");
     // A reader that has closed its end ends the output, not the hold.
     let (reader, writer) = std::io::pipe()?;
     drop(reader);
@@ -410,16 +428,26 @@ pub fn first_home_on_the_default_image_names_the_cure() -> Result<(), Failed> {
     Ok(())
 }
 
-/// A soft object, and no object.
+/// A soft object; one that is wider or narrower than expected; one that is taken away.
 pub fn a_grip_that_fails_has_its_reason() -> Result<(), Failed> {
     let dir = WorkDir::empty();
-    let options = format!("--opening 3 --object 40 --stiffness 5 {SLOW}");
+    let options = format!("--opening 3 --object 40 --stiffness 5 --remove-object 40 {SLOW}");
     let emulation = Emulation::start(&dir, &path(Variant::Nominal)?, &options);
     emulation.allow_delays(&dir);
     let cell = Cell { dir, emulation };
-    let (status, soft) = cell.failed("--home --force 300");
-    assert_eq!((status, &soft["result"]["code"]), (13, &"too_soft".into()), "{soft}");
-    assert!(number(&soft["result"]["force_n"]) > 5.0, "{soft}");
-    assert!(number(&soft["result"]["opening_mm"]) < 41.0, "{soft}");
+    let result = |arguments: &str, status: i32, code: &str| {
+        let (ended, json) = cell.failed(arguments);
+        assert_eq!((ended, &json["result"]["code"]), (status, &code.into()), "{arguments}: {json}");
+        json["result"].clone()
+    };
+    let soft = result("--home --force 300", 13, "too_soft");
+    let [force_n, opening_mm] = ["force_n", "opening_mm"].map(|name| number(&soft[name]));
+    assert!((5.0..299.0).contains(&force_n) && opening_mm < 40.0, "{soft}");
+    // Above its window, below it.
+    result("--force 10 --width 30:4", 19, "wrong_width");
+    cell.grasp("--position 60");
+    result("--force 10 --width 50:4", 10, "no_object");
+    let lost = result("--force 15 --profile fragile --speed 5", 11, "object_lost");
+    assert!(number(&lost["force_n"]) < 10.0, "{lost}");
     Ok(())
 }

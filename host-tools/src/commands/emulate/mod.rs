@@ -41,6 +41,9 @@ pub struct Args {
     /// Width of an object, inserted as soon as the gripper is homed and sufficiently open.
     #[arg(long, value_name = "MM", value_parser = parse_opening)]
     object: Option<f64>,
+    /// Take the object away at this virtual time.
+    #[arg(long, value_name = "S", requires = "object", value_parser = parse_seconds)]
+    remove_object: Option<f64>,
     /// Contact stiffness including the flexures: 333 is steel, 50 rubber, 5 foam.
     #[arg(long, value_name = "N_MM", default_value_t = 333.0, requires = "object", value_parser = parse_stiffness)]
     stiffness: f64,

@@ -51,6 +51,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let parameters = PlantParameters::nominal(Lead::A);
     let object = args.object.map(|width_mm| contact_object(&parameters, width_mm, args.stiffness));
     let mut emulation = Emulation::new(board, gripper, object, pty, can);
+    emulation.remove_object_at = args.remove_object.map(time);
     let setup = Setup { path, length, serial: emulation.serial().to_owned(), can: can_name };
     announce(&setup, args);
     emulation.board.chip.sample_every(SAMPLE_PERIOD);
@@ -106,6 +107,10 @@ fn can(args: &Args) -> Result<(CanPort, String)> {
     }
 }
 
+fn time(seconds: f64) -> Time {
+    Time::from_us((1e6 * seconds) as u64)
+}
+
 fn announce(setup: &Setup, args: &Args) {
     let protocol = if args.can.is_some() { "interface" } else { "TCP, socketcand protocol" };
     eprintln!("image: {} ({} bytes of flash)", setup.path.display(), setup.length);
@@ -116,7 +121,7 @@ fn announce(setup: &Setup, args: &Args) {
 fn run_until_end(args: &Args, emulation: &mut Emulation, pace: &mut Pace) -> Result<End> {
     let interrupted = interrupted()?;
     let bar = progress::status_spinner("emulating");
-    let end = args.seconds.map_or(Time::NEVER, |seconds| Time::from_us((1e6 * seconds) as u64));
+    let end = args.seconds.map_or(Time::NEVER, time);
     let mut status = StatusLine::default();
     let reason = loop {
         if emulation.now() >= end {

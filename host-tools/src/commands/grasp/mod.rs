@@ -13,6 +13,7 @@ use std::path::PathBuf;
 use anyhow::{Result, bail};
 use firmware::config::constants;
 
+use crate::commands::args::parse_number;
 use crate::commands::connection::{PortArgs, parse_seconds};
 use crate::commands::result_code;
 use device::session::foot_openings;
@@ -45,18 +46,31 @@ pub struct Args {
     /// The forces are not believed, as before a calibration: the move ends where the current, at most 0.6 A, finds an obstacle.
     #[arg(long, requires_all = ["hardware", "position"])]
     uncalibrated: bool,
-    /// Hold time at the set-point [default: until Ctrl-C; 0 for a position].
+    /// Return with the object gripped: what is reached is held without this program, until `grasp --release`.
+    #[arg(long, requires_all = ["force", "hardware"])]
+    keep: bool,
+    /// Hold time at the set-point [default: until Ctrl-C; 0 for a position and with --keep].
     #[arg(long, value_name = "S", requires = "hardware", value_parser = parse_seconds)]
     seconds: Option<f64>,
     /// Target opening.
     #[arg(long, value_name = "MM")]
     position: Option<f64>,
-    /// Maximum speed to the target opening; without a target, closing speed (negative opens), then braking.
+    /// Maximum speed to the target opening, or of the approach to a grasp (--port, --can) [default: by the force]; without a
+    /// target, closing speed (negative opens), then braking.
     #[arg(long, value_name = "MM_S", allow_negative_numbers = true)]
     speed: Option<f64>,
     /// Grasp force.
-    #[arg(long, value_name = "N", conflicts_with_all = ["position", "speed", "from", "foot"])]
+    #[arg(long, value_name = "N", conflicts_with_all = ["position", "from", "foot"])]
     force: Option<f64>,
+    /// Limits of force and speed of the grasp, also after a slip [default: normal, strong above 100 N].
+    #[arg(long, value_enum, requires_all = ["force", "hardware"])]
+    profile: Option<Profile>,
+    /// Expected width of the object, and half of the window around it: 1, 2, 4, 8, 16, 32 or 64 mm.
+    #[arg(long, value_name = "MM:HALF_MM", requires_all = ["force", "hardware"], value_parser = parse_width)]
+    width: Option<WidthArg>,
+    /// Full speed until close to the window of --width.
+    #[arg(long, requires = "width")]
+    fast: bool,
     /// Grasped object.
     #[arg(
         long,
@@ -109,6 +123,9 @@ pub struct Args {
     /// Print one JSON object on stdout and nothing else.
     #[arg(long)]
     json: bool,
+    /// Print JSON objects on stdout as they come, one per line: states, points, faults, last the result.
+    #[arg(long, requires = "hardware", conflicts_with_all = ["json", "stop"])]
+    json_lines: bool,
 }
 
 /// Examples, behaviour and limits for `--help`.
@@ -124,6 +141,9 @@ Examples:
   cargo magpie grasp --port /dev/ttyACM0 --home --position 40    # moves a real gripper
   cargo magpie grasp --port /dev/ttyACM0 --position 20 --uncalibrated
   cargo magpie grasp --can can0 --force 80 --seconds 10
+  cargo magpie grasp --can can0 --force 80 --keep && cargo magpie grasp --can can0 --release
+  cargo magpie grasp --can can0 --force 80 --json-lines | jq '.state'
+  cargo magpie grasp --can can0 --force 15 --profile fragile --width 40:4 --speed 4
   cargo magpie grasp --can 127.0.0.1:29536 --home --force 80     # `cargo magpie emulate`
   # frees what is gripped, also under a fault of the sensors
   cargo magpie grasp --port /dev/ttyACM0 --release
@@ -151,6 +171,37 @@ enum ObjectStiffness {
     Medium,
     /// 5 N/mm: foam.
     Soft,
+}
+
+/// Limits of a grasp.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Profile {
+    /// Up to 20 N, 5 mm/s.
+    Fragile,
+    /// Up to 100 N.
+    Normal,
+    /// Up to 350 N.
+    Strong,
+}
+
+/// Width window of a grasp as in the command.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct WidthArg {
+    width_mm: f64,
+    /// Field of the flags: n for a half window of 2^(n-1) mm.
+    window: u8,
+}
+
+fn parse_width(text: &str) -> Result<WidthArg, String> {
+    let number = |text: &str| parse_number(text, (0.0, constants::STROKE.value)).ok();
+    let parsed = text.split_once(':').and_then(|(width, half)| {
+        let (width_mm, half_mm) = (number(width)?, number(half)?);
+        let window = (1..=7_u8).find(|window| f64::from(1_u8 << (window - 1)) == half_mm)?;
+        Some(WidthArg { width_mm, window })
+    });
+    parsed.ok_or_else(|| {
+        "write MM:HALF_MM as 40:2; half of the window is 1, 2, 4, 8, 16, 32 or 64 mm".to_owned()
+    })
 }
 
 /// Controllers to compare with.
@@ -182,6 +233,9 @@ pub fn run(args: &Args) -> Result<()> {
         }
         fraction => bail!("--scatter {fraction:?} is not possible here; give 0 to {MAX_SCATTER}"),
     };
+    if args.force.is_some() && args.speed.is_some() {
+        bail!("--speed of a grasp is possible with --port or --can only");
+    }
     if let Some(set_n) = args.force {
         return simulated::grasp(args, case, set_n);
     }

@@ -200,6 +200,7 @@ pub fn run(args: &Args) -> Result<()> {
         check: check.as_ref(),
         is_on_bus: args.gripper.is_on_bus(),
         is_virtual: args.gripper.is_virtual(),
+        is_cut: ended.as_ref().is_err_and(|error| error.is::<ConnectionLost>()),
     };
     terminal::print_result(args.json, || summary.to_json(), || summary.format())?;
     ended.and(failed)
@@ -228,6 +229,8 @@ struct Summary<'a> {
     /// Which has no covariates, as a virtual board.
     is_on_bus: bool,
     is_virtual: bool,
+    /// The connection was lost, which ended the recording.
+    is_cut: bool,
 }
 
 /// Covered ranges, and the effects on which the recording can decide.

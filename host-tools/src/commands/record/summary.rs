@@ -10,8 +10,18 @@ use super::{CheckResult, ReferenceAlignment, StepResult, Summary};
 impl Summary<'_> {
     /// As text.
     pub(super) fn format(&self) -> String {
-        let Self { output, start_s, tally, alignment, steps, poses, check, is_on_bus, is_virtual } =
-            *self;
+        let Self {
+            output,
+            start_s,
+            tally,
+            alignment,
+            steps,
+            poses,
+            check,
+            is_on_bus,
+            is_virtual,
+            is_cut,
+        } = *self;
         let seconds = |us: u64| us as f64 * 1e-6;
         let numbers = |sensors: &[usize]| {
             let numbers: Vec<String> = sensors.iter().map(usize::to_string).collect();
@@ -26,6 +36,7 @@ impl Summary<'_> {
             numbers::decimal(start_s, 3),
         );
         match tally.gaps {
+            0 if is_cut => text += "No rows lost before the connection was lost.\n",
             0 => text += "No rows lost.\n",
             gaps => {
                 let gaps = if gaps == 1 { "1 gap".to_owned() } else { format!("{gaps} gaps") };
@@ -124,6 +135,7 @@ impl Summary<'_> {
             "rows": tally.rows,
             "lost_rows": tally.lost,
             "gaps": tally.gaps,
+            "connection_lost": self.is_cut,
             "longest_gap_s": tally.longest_us.0 as f64 * 1e-6,
             "longest_gap_at_s": tally.longest_us.1 as f64 * 1e-6,
             "covariates": tally.covariates,

@@ -18,6 +18,8 @@ const POINT_PERIOD_S: f64 = 0.05;
 pub(super) struct CommandLog {
     /// Receives the printed lines; none with --json.
     lines: Option<Sender<String>>,
+    /// The lines are JSON objects.
+    is_json: bool,
     state: Option<u8>,
     active_faults: Vec<String>,
     line_s: f64,
@@ -31,9 +33,10 @@ pub(super) struct CommandLog {
 }
 
 impl CommandLog {
-    pub(super) fn new(lines: Option<Sender<String>>) -> Self {
+    pub(super) fn new(lines: Option<Sender<String>>, is_json: bool) -> Self {
         Self {
             lines,
+            is_json,
             state: None,
             active_faults: Vec::new(),
             line_s: 0.0,
@@ -51,10 +54,11 @@ impl CommandLog {
         let state = client.state.heartbeat.map(|beat| beat.value.state);
         let faults: Vec<_> = client.state.faults.iter().map(format::fault_line).collect();
         let is_new = state.is_some() && (state != self.state || faults != self.active_faults);
-        if state != self.state {
-            self.states.extend(state.map(|code| {
-                json!({ "time_s": rounded(now_s), "state": format::state_name(code), "code": code })
-            }));
+        if let Some(code) = state.filter(|_| state != self.state) {
+            let state = format::state_name(code);
+            let state = json!({ "time_s": rounded(now_s), "state": state, "code": code });
+            self.print_event("state", &state);
+            self.states.push(state);
         }
         if faults != self.active_faults {
             for fault in client.state.faults.iter().map(format::fault_json) {
@@ -63,7 +67,10 @@ impl CommandLog {
                 };
                 match self.faults.iter_mut().find(place) {
                     Some(known) => *known = fault,
-                    None => self.faults.push(fault),
+                    None => {
+                        self.print_event("fault", &fault);
+                        self.faults.push(fault);
+                    }
                 }
             }
         }
@@ -78,12 +85,28 @@ impl CommandLog {
         }
         if now_s >= self.point_s + POINT_PERIOD_S {
             self.point_s = now_s;
-            self.points.extend(point(client, now_s));
+            if let Some(point) = point(client, now_s) {
+                self.print_event("point", &point);
+                self.points.push(point);
+            }
         }
     }
 
-    /// Prints a line, except with --json.
+    /// Prints a line of text, except with JSON.
     pub(super) fn print(&self, line: String) {
+        if !self.is_json {
+            self.send(line);
+        }
+    }
+
+    /// Prints a JSON object with --json-lines.
+    fn print_event(&self, event: &str, object: &Value) {
+        if self.is_json {
+            self.send(event_line(event, object));
+        }
+    }
+
+    fn send(&self, line: String) {
         if let Some(lines) = &self.lines {
             // Where nobody prints any more, nothing is lost.
             let _ = lines.send(line);
@@ -109,20 +132,17 @@ impl CommandLog {
         self.state.map_or("unknown".to_owned(), format::state_name)
     }
 
+    /// Last line of --json-lines.
+    pub(super) fn result_line(&self, end: &SessionEnd, error: Option<&Error>) -> String {
+        event_line("result", &end.json(error)) + "\n"
+    }
+
     /// The session as JSON. `error` is what is printed without --json.
     pub(super) fn json(&self, client: &Client, end: &SessionEnd, error: Option<&Error>) -> Value {
-        let Measured { time_s, state, force_n, opening_mm } = &end.measured;
         json!({
             "simulated": false,
             "gripper": client.name(),
-            "result": {
-                "code": end.code.name(),
-                "status": end.code.status(),
-                "time_s": time_s,
-                "state": state,
-                "force_n": force_n,
-                "opening_mm": opening_mm,
-            },
+            "result": end.json(error),
             "reached": end.is_reached,
             "error": error.map(|error| format!("{error:#}")),
             "disabled": end.is_disabled,
@@ -174,6 +194,30 @@ pub(super) struct SessionEnd {
     pub(super) is_disabled: bool,
     /// An object that another host gripped is still held.
     pub(super) is_left_gripped: bool,
+}
+
+impl SessionEnd {
+    fn json(&self, error: Option<&Error>) -> Value {
+        let Measured { time_s, state, force_n, opening_mm } = &self.measured;
+        json!({
+            "code": self.code.name(),
+            "status": self.code.status(),
+            "error": error.map(|error| format!("{error:#}")),
+            "time_s": time_s,
+            "state": state,
+            "force_n": force_n,
+            "opening_mm": opening_mm,
+        })
+    }
+}
+
+/// An object with the kind of its event.
+fn event_line(event: &str, object: &Value) -> String {
+    let mut line = json!({ "event": event });
+    if let (Some(line), Some(object)) = (line.as_object_mut(), object.as_object()) {
+        line.extend(object.clone());
+    }
+    line.to_string()
 }
 
 /// Grasping force in newtons and current in amperes; opening in millimetres, if it is known.

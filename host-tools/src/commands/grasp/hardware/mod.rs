@@ -15,13 +15,13 @@ use std::thread;
 
 use anyhow::{Result, bail};
 use firmware::config::constants;
-use firmware::grip::commands::{flag, mode};
+use firmware::grip::commands::{GripProfile, flag, mode};
 use firmware::grip::states::TaskState;
 use firmware::protocol::messages::Command;
 use serde_json::json;
 
 use crate::commands::grasp::simulated::check_force;
-use crate::commands::grasp::{Args, MARGIN_MM, check_opening};
+use crate::commands::grasp::{Args, MARGIN_MM, Profile, WidthArg, check_opening};
 use crate::commands::result_code::ResultCode;
 use device::format;
 use device::session::CLOSED_MM;
@@ -43,7 +43,7 @@ const SPEED_RANGE_MM_S: std::ops::RangeInclusive<f64> = 0.25..=58.0;
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Request {
     Position { opening_mm: f64, speed_mm_s: f64, is_uncalibrated: bool },
-    Force { set_n: f64 },
+    Force { set_n: f64, command: Command },
     Foot(FootContact),
     Release { opening_mm: f64 },
 }
@@ -63,17 +63,13 @@ impl Request {
         }
         if let Some(set_n) = args.force {
             check_force(set_n)?;
-            return Ok(Self::Force { set_n });
+            return Ok(Self::Force { set_n, command: grip(args, set_n)? });
         }
         let Some(opening_mm) = args.position else {
             bail!("--speed without --position is possible in the simulation only");
         };
         check_opening("--position", opening_mm, CLOSED_MM)?;
-        let speed_mm_s = args.speed.unwrap_or(DEFAULT_SPEED_MM_S);
-        if !SPEED_RANGE_MM_S.contains(&speed_mm_s) {
-            let (min, max) = (SPEED_RANGE_MM_S.start(), SPEED_RANGE_MM_S.end());
-            bail!("--speed {speed_mm_s:?} is not possible here; give {min} to {max} mm/s");
-        }
+        let speed_mm_s = checked_speed(args)?.unwrap_or(DEFAULT_SPEED_MM_S);
         Ok(Self::Position { opening_mm, speed_mm_s, is_uncalibrated: args.uncalibrated })
     }
 
@@ -83,11 +79,46 @@ impl Request {
                 flags: if is_uncalibrated { flag::UNCALIBRATED } else { 0 },
                 ..motion(mode::MOVE, opening_mm, speed_mm_s)
             },
-            Self::Force { set_n } => grip_command(set_n),
+            Self::Force { command, .. } => command,
             Self::Foot(contact) => contact.command(),
             Self::Release { opening_mm } => motion(mode::RELEASE, opening_mm, DEFAULT_SPEED_MM_S),
         }
     }
+}
+
+/// The speed that is given, if it is possible.
+fn checked_speed(args: &Args) -> Result<Option<f64>> {
+    if let Some(speed_mm_s) = args.speed.filter(|mm_s| !SPEED_RANGE_MM_S.contains(mm_s)) {
+        let (min, max) = (SPEED_RANGE_MM_S.start(), SPEED_RANGE_MM_S.end());
+        bail!("--speed {speed_mm_s:?} is not possible here; give {min} to {max} mm/s");
+    }
+    Ok(args.speed)
+}
+
+/// Command of a grasp.
+fn grip(args: &Args, set_n: f64) -> Result<Command> {
+    let mut command = grip_command(set_n);
+    if let Some(profile) = args.profile {
+        let (bits, limits) = match profile {
+            Profile::Normal => (0, GripProfile::Normal),
+            Profile::Fragile => (1, GripProfile::Fragile),
+            Profile::Strong => (2, GripProfile::Strong),
+        };
+        let max_n = f64::from(limits.max_n());
+        if set_n > max_n {
+            bail!("--force {set_n:?} is not possible with this --profile; give up to {max_n} N");
+        }
+        command.flags = bits;
+    }
+    if let Some(WidthArg { width_mm, window }) = args.width {
+        command.position = counts("position", width_mm) as u16;
+        command.flags |= window << flag::WINDOW.trailing_zeros();
+    }
+    if args.fast {
+        command.flags |= flag::FAST;
+    }
+    command.speed = checked_speed(args)?.map_or(0, |mm_s| counts("speed", mm_s) as u8);
+    Ok(command)
 }
 
 const fn mode_command(mode: u8) -> Command {
@@ -125,8 +156,12 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let (page, error) = thread::scope(|scope| {
         let control = scope.spawn(move || session.run(args, request));
         for line in printed {
-            // Without a reader the output ends, not the motion.
-            let _ = writeln!(std::io::stderr(), "{line}");
+            if args.json_lines {
+                // As on stderr, a closed pipe ends the output only.
+                let _ = writeln!(std::io::stdout(), "{line}");
+            } else {
+                eprintln!("{line}");
+            }
         }
         control.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
     });

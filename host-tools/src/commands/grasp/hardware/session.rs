@@ -9,8 +9,9 @@ use anyhow::{Error, Result};
 use device::format;
 use device::session::{self, Client};
 use device::source::ConnectionLost;
-use firmware::grip::commands::mode;
+use firmware::grip::commands::{flag, mode};
 use firmware::grip::states::{PowerState, TASK_CODE, TaskState};
+use firmware::protocol::messages::Command;
 use firmware::protocol::opening_mm;
 use firmware::protocol::session::{op, status};
 use firmware::system::faults::Fault;
@@ -79,7 +80,7 @@ impl Session {
         let source = args.port.open_given()?;
         Ok(Self {
             client: Client::new(source, args.port.credentials()?),
-            log: CommandLog::new((!args.json).then_some(lines)),
+            log: CommandLog::new((!args.json).then_some(lines), args.json_lines),
             interrupted: interrupted()?,
             ended: end_on_interrupt()?,
             is_shutting_down: false,
@@ -123,8 +124,12 @@ impl Session {
             error.or_else(|| (code != ResultCode::Reached).then(|| code.error(code.meaning())));
         if self.is_left_gripped {
             self.print(format!(
-                "note: the object was gripped before this command and stays gripped; `cargo magpie grasp {} --release` \
-                 opens the fingers",
+                "note: {} stays gripped; `cargo magpie grasp {} --release` opens the fingers",
+                if args.keep {
+                    "the object"
+                } else {
+                    "an object that was gripped before this command"
+                },
                 args.port.words()
             ));
         }
@@ -137,6 +142,7 @@ impl Session {
         };
         let page = match (args.json, &error) {
             (true, _) => format!("{}\n", self.log.json(&self.client, &end, error.as_ref())),
+            _ if args.json_lines => self.log.result_line(&end, error.as_ref()),
             (false, None) => self.log.text(&end),
             (false, Some(_)) => String::new(),
         };
@@ -183,6 +189,7 @@ impl Session {
         }
         let hold_s = match (args.seconds, request) {
             (Some(seconds), _) => seconds,
+            (None, _) if args.keep => 0.0,
             (None, Request::Position { .. }) => 0.0,
             (None, _) => f64::INFINITY,
         };
@@ -190,6 +197,8 @@ impl Session {
             session.is_reached_now(request)?;
             Ok(false)
         })?;
+        // As a grip of an earlier host, it stays.
+        self.owns_grip &= !args.keep;
         Ok(match waited {
             WaitResult::Interrupted if hold_s.is_finite() => ResultCode::Interrupted,
             _ if self.has_slipped => ResultCode::Slipped,
@@ -232,12 +241,14 @@ impl Session {
             (Request::Position { .. }, TaskState::ContactStop) => Err(self.contact(request)),
             (Request::Force { .. }, TaskState::HoldActive | TaskState::HoldLatched) => Ok(true),
             (Request::Force { .. }, TaskState::NoObject) => {
-                Err(ResultCode::NoObject.error("no object: the fingers met"))
+                Err(ResultCode::NoObject.error(format!("no object: {}", self.measured())))
             }
             (Request::Force { .. }, TaskState::Lost) => {
                 Err(ResultCode::ObjectLost.error("the object was lost"))
             }
-            (Request::Force { set_n }, TaskState::GripFailed) => Err(self.grip_failure(set_n)),
+            (Request::Force { set_n, command }, TaskState::GripFailed) => {
+                Err(self.grip_failure(set_n, command))
+            }
             (Request::Foot(_), TaskState::Foot) => Ok(true),
             _ => Ok(false),
         }
@@ -270,12 +281,14 @@ impl Session {
     }
 
     /// Error of a grip that failed.
-    fn grip_failure(&self, set_n: f64) -> Error {
+    fn grip_failure(&self, set_n: f64, command: Command) -> Error {
         let measured = self.measured();
         if self.has_touched {
             ResultCode::TooSoft.error(format!(
                 "the object is too soft: {measured} instead of {set_n:.0} N in time"
             ))
+        } else if command.flags & flag::WINDOW != 0 {
+            ResultCode::WrongWidth.error(format!("the object is wider than --width: {measured}"))
         } else {
             ResultCode::Timeout.error(format!(
                 "no contact in time, or the forces have an offset ({measured}): unload the fingers and use `cargo magpie \
