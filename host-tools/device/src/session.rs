@@ -1,12 +1,14 @@
 //! Sessions of this machine with a gripper: a client that repeats a command, a connection whose requests are authenticated,
 //! refusals as text.
 
+use crate::control::CLOSED_MM;
 use crate::format::state_name;
 use crate::source::{ConnectionLost, SILENCE, Source};
 use crate::state::GripperState;
 use anyhow::{Result, bail};
 use firmware::config::limits::GripLimits;
 use firmware::grip::commands::{RefusalReason, mode};
+use firmware::protocol::PROTOCOL_VERSION;
 use firmware::protocol::authentication::{DataMac, Key};
 use firmware::protocol::host_session::{HostSession, needs_owner, service};
 use firmware::protocol::messages::{Command, EStop, Message, ServiceReply};
@@ -386,9 +388,6 @@ pub fn foot_openings() -> String {
     )
 }
 
-/// Opening in mm of fingers that are closed for ground contact and do not press on each other.
-pub const CLOSED_MM: f64 = 0.5 * GripLimits::GRIPPER.flat_contact_mm as f64;
-
 const REASONS: [RefusalReason; 15] = [
     RefusalReason::UnknownMode,
     RefusalReason::NotEnabled,
@@ -434,6 +433,21 @@ const fn advice(reason: RefusalReason) -> &'static str {
         RefusalReason::Stopped => {
             "a stop is latched: make sure that the gripper may move again, then use --clear-faults"
         }
+    }
+}
+
+/// Checks the version of the protocol: messages of another major version would be misinterpreted.
+///
+/// # Errors
+/// The gripper has another major protocol version.
+pub fn check_protocol(state: &GripperState) -> Result<()> {
+    let version = state.version.map(|version| version.protocol_major);
+    match version.or(state.heartbeat.map(|beat| beat.value.protocol_major)) {
+        Some(major) if major != PROTOCOL_VERSION.0 => bail!(
+            "the gripper uses protocol version {major}, this tool {}: use the tool version of its firmware",
+            PROTOCOL_VERSION.0
+        ),
+        _ => Ok(()),
     }
 }
 

@@ -5,9 +5,9 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
+use firmware::protocol::DEFAULT_NODE;
 use firmware::protocol::authentication::Key;
-use firmware::protocol::{DEFAULT_NODE, PROTOCOL_VERSION};
 use model_export::fit::FitOptions;
 use model_export::inverse::build::{DeviceModel, ModelVariant, build};
 use model_export::model_file::{BaseKind, ModelFile, Provenance};
@@ -15,9 +15,9 @@ use model_export::output::StagingDir;
 use model_export::recordings::align::Alignment;
 
 use crate::commands::args::parse_number;
-use crate::commands::result_code::ResultCode;
 use analysis::compare::campaign_reader::read_campaign;
 use analysis::fit::fit_campaign;
+use device::control::result_code::ResultCode;
 use device::key_file;
 use device::reference::{ReferenceMapping, ReferenceSource};
 use device::serial_port::SerialLine;
@@ -25,7 +25,6 @@ use device::session::{Credentials, SessionSource, with_session};
 use device::socket_can::CanBus;
 use device::socketcand::client::RemoteBus;
 use device::source::Source;
-use device::state::GripperState;
 use device::virtual_board::Unplug;
 use device::virtual_board::world::SensorInput;
 use device_run::networks::NetworkSet;
@@ -231,7 +230,9 @@ impl GripperArgs {
 
     #[cfg(not(unix))]
     fn virtual_board(&self) -> Result<Box<dyn Source + Send>> {
-        bail!("--virtual needs pseudo-terminals, which this system does not have; use --port")
+        anyhow::bail!(
+            "--virtual needs pseudo-terminals, which this system does not have; use --port"
+        )
     }
 
     #[cfg(unix)]
@@ -274,7 +275,7 @@ pub fn default_virtual_board() -> Result<Box<dyn Source + Send>> {
 /// Always.
 #[cfg(not(unix))]
 pub fn default_virtual_board() -> Result<Box<dyn Source + Send>> {
-    bail!("--virtual needs pseudo-terminals, which this system does not have; use --port")
+    anyhow::bail!("--virtual needs pseudo-terminals, which this system does not have; use --port")
 }
 
 /// Campaign of four sensors in the source tree of this build.
@@ -300,18 +301,6 @@ pub fn print_unprotected(name: &str) {
     eprintln!(
         "note: {name}: the gripper is unprotected, everybody on its bus can move it; see `cargo magpie key --help`"
     );
-}
-
-/// Fails if the gripper has another major protocol version: its messages would be misinterpreted.
-pub fn check_protocol(state: &GripperState) -> Result<()> {
-    let version = state.version.map(|version| version.protocol_major);
-    match version.or(state.heartbeat.map(|beat| beat.value.protocol_major)) {
-        Some(major) if major != PROTOCOL_VERSION.0 => bail!(
-            "the gripper uses protocol version {major}, this tool {}: use the tool version of its firmware",
-            PROTOCOL_VERSION.0
-        ),
-        _ => Ok(()),
-    }
 }
 
 /// A flag that is set by Ctrl-C (SIGINT) or SIGTERM.

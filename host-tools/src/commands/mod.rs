@@ -24,7 +24,6 @@ pub mod monitor;
 pub mod parameter;
 pub mod record;
 pub mod replay;
-pub mod result_code;
 pub mod shell;
 pub mod simulate;
 pub mod tare;
@@ -40,9 +39,9 @@ use std::sync::atomic::AtomicBool;
 use analysis::notes::{ErrorWithNotes, Note};
 use anyhow::Context;
 use clap::{CommandFactory, Parser, Subcommand};
+use device::control::result_code::ResultCode;
 use firmware::sensors::hall::SENSORS;
 use model_export::inverse::build::{DeviceModel, ExportHeader};
-use result_code::ResultCode;
 use signal_hook::consts::SIGINT;
 
 /// Calibrates Hall-effect force sensors of a robot gripper, diagnoses missing physical effects, and operates the

@@ -11,11 +11,10 @@ use firmware::protocol::session::op;
 use ratatui::DefaultTerminal;
 use ratatui::crossterm::event::{self, Event, KeyCode, KeyModifiers};
 
-use crate::commands::connection::{
-    GripperArgs, check_protocol, interrupted, parse_seconds, print_unprotected,
-};
+use crate::commands::connection::{GripperArgs, interrupted, parse_seconds, print_unprotected};
 use device::foxglove::FoxgloveServer;
 use device::reader::{ReaderEvent, SourceReader};
+use device::session::check_protocol;
 use device::source::{ConnectionLost, SILENCE};
 use device::state::GripperState;
 use device::{format, view};

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use host_tools::commands::result_code::ResultCode;
+use device::control::result_code::ResultCode;
 use serde_json::Value;
 use tests::campaign_copy::CampaignCopy;
 use tests::{data, real_data};

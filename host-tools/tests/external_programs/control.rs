@@ -345,10 +345,8 @@ pub fn results_have_codes() -> Result<(), Failed> {
     assert!(message.contains("at most 1 mm") && message.contains("40 ± 1 mm"), "{message}");
     // Held without a host, until the release; events as they come.
     let output = cell.dir.stdout(&cell.line("--force 40 --keep --json-lines"));
-    let lines: Vec<Value> = String::from_utf8(output)?
-        .lines()
-        .map(|line| serde_json::from_str(line))
-        .collect::<Result<_, _>>()?;
+    let lines: Vec<Value> =
+        String::from_utf8(output)?.lines().map(serde_json::from_str).collect::<Result<_, _>>()?;
     let count = |event: &str| lines.iter().filter(|line| line["event"] == event).count();
     assert!(count("state") > 3 && count("point") > 10 && count("result") == 1, "{lines:?}");
     let last = lines.last().unwrap();

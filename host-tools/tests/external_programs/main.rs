@@ -297,6 +297,10 @@ mod unix {
             resets.as_array().unwrap().iter().map(|reset| &reset["cause"]).collect();
         assert_eq!(causes, ["software"]);
         measured["resets"] = Value::Array(Vec::new());
+        // To a board at half speed its chunks come twice as fast; it drops some, which are repeated.
+        if let Some(faults) = measured["faults"].as_array_mut() {
+            faults.retain(|fault| fault["code"] != Fault::Flooded as u16);
+        }
         is_clean(&measured);
         Ok(())
     }

@@ -15,7 +15,7 @@ use firmware::config::constants;
 
 use crate::commands::args::parse_number;
 use crate::commands::connection::{PortArgs, parse_seconds};
-use crate::commands::result_code;
+use device::control::{MARGIN_MM, WidthWindow, check_opening, result_code};
 use device::session::foot_openings;
 use report::html::drive;
 use report::text::grasp::{format_motion, motion_json};
@@ -67,7 +67,7 @@ pub struct Args {
     profile: Option<Profile>,
     /// Expected width of the object, and half of the window around it: 1, 2, 4, 8, 16, 32 or 64 mm.
     #[arg(long, value_name = "MM:HALF_MM", requires_all = ["force", "hardware"], value_parser = parse_width)]
-    width: Option<WidthArg>,
+    width: Option<[f64; 2]>,
     /// Full speed until close to the window of --width.
     #[arg(long, requires = "width")]
     fast: bool,
@@ -184,24 +184,19 @@ enum Profile {
     Strong,
 }
 
-/// Width window of a grasp as in the command.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct WidthArg {
-    width_mm: f64,
-    /// Field of the flags: n for a half window of 2^(n-1) mm.
-    window: u8,
+fn parse_width(text: &str) -> Result<[f64; 2], String> {
+    let number = |text: &str| parse_number(text, (0.0, constants::STROKE.value)).ok();
+    let width =
+        text.split_once(':').and_then(|(width, half)| Some([number(width)?, number(half)?]));
+    width.ok_or_else(|| "write MM:HALF_MM, as 40:2".to_owned())
 }
 
-fn parse_width(text: &str) -> Result<WidthArg, String> {
-    let number = |text: &str| parse_number(text, (0.0, constants::STROKE.value)).ok();
-    let parsed = text.split_once(':').and_then(|(width, half)| {
-        let (width_mm, half_mm) = (number(width)?, number(half)?);
-        let window = (1..=7_u8).find(|window| f64::from(1_u8 << (window - 1)) == half_mm)?;
-        Some(WidthArg { width_mm, window })
-    });
-    parsed.ok_or_else(|| {
-        "write MM:HALF_MM as 40:2; half of the window is 1, 2, 4, 8, 16, 32 or 64 mm".to_owned()
-    })
+impl Args {
+    /// Width window of a grasp.
+    fn window(&self) -> Option<WidthWindow> {
+        let is_fast = self.fast;
+        self.width.map(|[width_mm, half_mm]| WidthWindow { width_mm, half_mm, is_fast })
+    }
 }
 
 /// Controllers to compare with.
@@ -215,8 +210,6 @@ enum OtherController {
 const MAX_SPEED_RUN_S: f64 = 0.5;
 /// Maximum duration of a position command in seconds.
 const MAX_MOTION_S: f64 = 15.0;
-/// Margin to the ends of the travel in mm.
-const MARGIN_MM: f64 = 2.0;
 /// Maximum perturbation.
 const MAX_SCATTER: f64 = 0.5;
 
@@ -258,15 +251,6 @@ pub fn run(args: &Args) -> Result<()> {
         || motion_json(&result, args.from, args.scatter, report),
         || format_motion(&result, report),
     )
-}
-
-/// Checks that an opening is within the travel.
-fn check_opening(option: &str, mm: f64, min_mm: f64) -> Result<()> {
-    let max_mm = constants::STROKE.value - MARGIN_MM;
-    if !(min_mm..=max_mm).contains(&mm) {
-        bail!("{option} {mm:?} is not possible here; give {min_mm} to {max_mm} mm");
-    }
-    Ok(())
 }
 
 /// The set-point, checked against the limits of the drive.

@@ -3,12 +3,8 @@
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::sync::atomic::Ordering::Relaxed;
-use std::sync::mpsc::Sender;
 
 use anyhow::{Error, Result};
-use device::format;
-use device::session::{self, Client};
-use device::source::ConnectionLost;
 use firmware::grip::commands::{flag, mode};
 use firmware::grip::states::{PowerState, TASK_CODE, TaskState};
 use firmware::protocol::messages::Command;
@@ -16,12 +12,17 @@ use firmware::protocol::opening_mm;
 use firmware::protocol::session::{op, status};
 use firmware::system::faults::Fault;
 
-use super::log::{CommandLog, Measured, SessionEnd};
-use super::{Request, TOLERANCE_MM, mode_command};
-use crate::commands::connection::{check_protocol, end_on_interrupt, interrupted};
-use crate::commands::grasp::Args;
-use crate::commands::result_code::ResultCode;
+use super::log::{CommandLog, Measured};
+use super::result_code::ResultCode;
+use super::{Request, SessionOptions, mode_command};
+use crate::format;
+use crate::session::{self, Client, Credentials, check_protocol};
+use crate::source::{ConnectionLost, Source};
 
+/// Position tolerance in mm.
+const TOLERANCE_MM: f64 = 0.5;
+/// Timeout of a stop in seconds.
+const STOP_S: f64 = 1.0;
 /// Timeouts of the steps in real seconds, with a margin for slow emulations.
 const CONNECT_S: f64 = 10.0;
 const ARM_S: f64 = 10.0;
@@ -38,12 +39,13 @@ pub(super) const BEATS: u32 = 2;
 const MOTION_BEATS: u32 = 5;
 
 /// A session with a gripper, and what it has begun: nothing else is undone at its end.
-pub(super) struct Session {
-    pub(super) client: Client,
-    log: CommandLog,
+pub struct Session {
+    /// Connection and latest state.
+    pub client: Client,
+    /// What is printed and reported.
+    pub log: CommandLog,
+    options: SessionOptions,
     pub(super) interrupted: Arc<AtomicBool>,
-    /// Set at the end: Ctrl-C then ends the process.
-    ended: Arc<AtomicBool>,
     /// The motion ends: that the gripper was stopped is no error any more.
     pub(super) is_shutting_down: bool,
     /// The drive was enabled by this session.
@@ -63,6 +65,24 @@ pub(super) struct Session {
     has_slipped: bool,
 }
 
+/// How a session ended.
+pub struct Outcome {
+    /// Result.
+    pub code: ResultCode,
+    /// Why it is not [`ResultCode::Reached`].
+    pub error: Option<Error>,
+    /// Measurements when the result was determined.
+    pub measured: Measured,
+    /// The set-point was reached at any time.
+    pub is_reached: bool,
+    /// The drive is disabled.
+    pub is_disabled: bool,
+    /// What is gripped is left gripped.
+    pub is_left_gripped: bool,
+    pub(super) gripper: String,
+    pub(super) log: CommandLog,
+}
+
 /// Result of waiting for a condition.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum WaitResult {
@@ -75,14 +95,18 @@ pub(super) enum WaitResult {
 }
 
 impl Session {
-    /// Opens the connection; `lines` receives what is printed.
-    pub(super) fn open(args: &Args, lines: Sender<String>) -> Result<Self> {
-        let source = args.port.open_given()?;
-        Ok(Self {
-            client: Client::new(source, args.port.credentials()?),
-            log: CommandLog::new((!args.json).then_some(lines), args.json_lines),
-            interrupted: interrupted()?,
-            ended: end_on_interrupt()?,
+    /// A session on this connection, not begun yet; `interrupted` ends it.
+    pub fn new(
+        source: Box<dyn Source + Send>,
+        credentials: Credentials,
+        options: SessionOptions,
+        interrupted: Arc<AtomicBool>,
+    ) -> Self {
+        Self {
+            client: Client::new(source, credentials),
+            log: CommandLog::default(),
+            options,
+            interrupted,
             is_shutting_down: false,
             has_enabled: false,
             was_enabled: false,
@@ -94,64 +118,55 @@ impl Session {
             has_moved: false,
             has_touched: false,
             has_slipped: false,
-        })
+        }
     }
 
-    /// Prints a line, except with --json.
-    pub(super) fn print(&self, line: String) {
-        self.log.print(line);
-    }
-
-    /// The whole session; what is printed on stdout, and the error.
-    pub(super) fn run(mut self, args: &Args, request: Request) -> (String, Option<Error>) {
-        let result = self.perform(args, request);
+    /// The whole session.
+    pub fn run(mut self, request: Request) -> Outcome {
+        let result = self.perform(request);
         let measured = Measured::of(&self.client);
         let shut_down = self.shut_down();
-        let code = match &result {
-            Ok(code) => *code,
-            Err(error) => ResultCode::of(error),
-        };
         let is_disabled = shut_down.is_ok() && self.code().is_some_and(|code| code < TASK_CODE);
-        let error = match (result, shut_down) {
+        let (code, error) = match (result, shut_down) {
+            (Ok(ResultCode::Reached), Ok(())) => (ResultCode::Reached, None),
+            (Ok(code), Ok(())) => (code, Some(code.error(code.meaning()))),
             // A lost connection is one error.
-            (Err(error), Err(then)) if then.is::<ConnectionLost>() => Some(error),
-            (Err(error), Err(then)) => Some(error.context(format!("{then:#}"))),
-            (Err(error), Ok(())) | (Ok(_), Err(error)) => Some(error),
-            (Ok(_), Ok(())) => None,
+            (Err(error), Err(then)) if !then.is::<ConnectionLost>() => {
+                (ResultCode::of(&error), Some(error.context(format!("{then:#}"))))
+            }
+            (Err(error), _) | (Ok(_), Err(error)) => (ResultCode::of(&error), Some(error)),
         };
-        let code = error.as_ref().map_or(code, ResultCode::of);
-        let error =
-            error.or_else(|| (code != ResultCode::Reached).then(|| code.error(code.meaning())));
-        if self.is_left_gripped {
-            self.print(format!(
-                "note: {} stays gripped; `cargo magpie grasp {} --release` opens the fingers",
-                if args.keep {
-                    "the object"
-                } else {
-                    "an object that was gripped before this command"
-                },
-                args.port.words()
-            ));
-        }
-        let end = SessionEnd {
+        // Who reads the lines may go on.
+        self.log.end_lines();
+        Outcome {
             code,
+            error,
             measured,
             is_reached: self.is_reached,
             is_disabled,
             is_left_gripped: self.is_left_gripped,
-        };
-        let page = match (args.json, &error) {
-            (true, _) => format!("{}\n", self.log.json(&self.client, &end, error.as_ref())),
-            _ if args.json_lines => self.log.result_line(&end, error.as_ref()),
-            (false, None) => self.log.text(&end),
-            (false, Some(_)) => String::new(),
-        };
-        self.ended.store(true, Relaxed);
-        (page, error)
+            gripper: self.client.name(),
+            log: self.log,
+        }
+    }
+
+    /// Stops the gripper, which needs no session; its state.
+    ///
+    /// # Errors
+    /// The connection is lost, or the gripper still moves.
+    pub fn stop(mut self) -> Result<String> {
+        self.is_shutting_down = true;
+        self.connect()?;
+        self.client.stop()?;
+        let is_stopped = |session: &Self| !session.task().is_some_and(TaskState::moves);
+        if self.wait(STOP_S, is_stopped)? != WaitResult::Done {
+            return Err(ResultCode::Fault.error("the gripper still moves: switch its supply off"));
+        }
+        Ok(self.code().map_or_else(String::new, format::state_name))
     }
 
     /// Arms, enables, homes, commands and holds.
-    fn perform(&mut self, args: &Args, request: Request) -> Result<ResultCode> {
+    fn perform(&mut self, request: Request) -> Result<ResultCode> {
         let all = [
             Self::connect,
             Self::clear_faults,
@@ -162,12 +177,12 @@ impl Session {
         ];
         let to_release = [Self::connect, Self::arm];
         let steps = match request {
-            Request::Release { .. } if !args.clear_faults => &to_release[..],
+            Request::Release { .. } if !self.options.clear_faults => &to_release[..],
             Request::Release { .. } => &all[..3],
             _ => &all[..],
         };
         for step in steps {
-            if step(self, args)? == WaitResult::Interrupted {
+            if step(self)? == WaitResult::Interrupted {
                 return Ok(ResultCode::Interrupted);
             }
         }
@@ -187,9 +202,9 @@ impl Session {
                     .error(format!("set-point not reached within {REACH_S} s{}", self.faults())));
             }
         }
-        let hold_s = match (args.seconds, request) {
+        let hold_s = match (self.options.hold_s, request) {
             (Some(seconds), _) => seconds,
-            (None, _) if args.keep => 0.0,
+            (None, _) if self.options.keep => 0.0,
             (None, Request::Position { .. }) => 0.0,
             (None, _) => f64::INFINITY,
         };
@@ -198,7 +213,7 @@ impl Session {
             Ok(false)
         })?;
         // As a grip of an earlier host, it stays.
-        self.owns_grip &= !args.keep;
+        self.owns_grip &= !self.options.keep;
         Ok(match waited {
             WaitResult::Interrupted if hold_s.is_finite() => ResultCode::Interrupted,
             _ if self.has_slipped => ResultCode::Slipped,
@@ -328,7 +343,7 @@ impl Session {
     }
 
     /// Waits for the first heartbeat and the end of the self-test.
-    pub(super) fn connect(&mut self, _: &Args) -> Result<WaitResult> {
+    fn connect(&mut self) -> Result<WaitResult> {
         let is_ready =
             |session: &Self| session.code().is_some_and(|code| code > PowerState::SelfTest as u8);
         let waited = self.wait(CONNECT_S, is_ready)?;
@@ -345,9 +360,9 @@ impl Session {
         Ok(waited)
     }
 
-    fn clear_faults(&mut self, args: &Args) -> Result<WaitResult> {
+    fn clear_faults(&mut self) -> Result<WaitResult> {
         let has_fault = |session: &Self| session.code() == Some(PowerState::Fault as u8);
-        if args.clear_faults {
+        if self.options.clear_faults {
             self.client.request(op::CLEAR_FAULTS)?;
             let waited = self.wait(ARM_S, |session| session.client.is_answered())?;
             match waited {
@@ -371,7 +386,7 @@ impl Session {
         if !has_fault(self) {
             return Ok(WaitResult::Done);
         }
-        if !args.clear_faults {
+        if !self.options.clear_faults {
             return Err(ResultCode::Refused.error(format!(
                 "the gripper has a fault{}: remove its cause and give --clear-faults",
                 self.faults()
@@ -385,7 +400,7 @@ impl Session {
         Ok(waited)
     }
 
-    fn arm(&mut self, _: &Args) -> Result<WaitResult> {
+    fn arm(&mut self) -> Result<WaitResult> {
         if self.client.state.is_stopped() {
             return Err(ResultCode::Refused.error(
                 "a stop is latched: make sure that the gripper may move again, and add --clear-faults",
@@ -418,7 +433,7 @@ impl Session {
         )
     }
 
-    fn enable(&mut self, _: &Args) -> Result<WaitResult> {
+    fn enable(&mut self) -> Result<WaitResult> {
         let is_enabled = |session: &Self| session.code().is_some_and(|code| code >= TASK_CODE);
         let was_enabled = is_enabled(self);
         self.has_enabled = !was_enabled;
@@ -440,7 +455,7 @@ impl Session {
 
     /// Leaves the state in which the command of an earlier host ended, which is none of this session's command. Nothing
     /// moves.
-    fn leave_end_state(&mut self, _: &Args) -> Result<WaitResult> {
+    fn leave_end_state(&mut self) -> Result<WaitResult> {
         let is_end = |session: &Self| {
             let ends = [TaskState::TimeoutHold, TaskState::NoObject, TaskState::Lost];
             session.task().is_some_and(|task| ends.contains(&task))
@@ -449,19 +464,17 @@ impl Session {
             return Ok(WaitResult::Done);
         }
         if self.task() == Some(TaskState::TimeoutHold) {
-            self.print(
-                "note: an earlier host stopped sending commands while the fingers moved, which stopped them".to_owned(),
-            );
+            self.log.note("note: an earlier host stopped sending commands while the fingers moved, which stopped them");
         }
         self.client.command(mode_command(mode::STOP));
         self.wait(ENABLE_S, |session| !is_end(session))
     }
 
-    fn home(&mut self, args: &Args) -> Result<WaitResult> {
+    fn home(&mut self) -> Result<WaitResult> {
         if self.task() != Some(TaskState::Unhomed) {
             return Ok(WaitResult::Done);
         }
-        if !args.home {
+        if !self.options.home {
             return Err(ResultCode::Refused.error(
                 "the gripper is not homed: give --home (requires free fingers; they close to the end stop, then open \
                  fully)",

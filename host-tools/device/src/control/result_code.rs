@@ -2,8 +2,8 @@
 
 use std::fmt;
 
+use crate::source::ConnectionLost;
 use anyhow::Error;
-use device::source::ConnectionLost;
 
 /// Declares the codes: name in JSON, exit status, meaning.
 macro_rules! codes {

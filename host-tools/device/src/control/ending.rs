@@ -5,19 +5,21 @@ use std::sync::atomic::Ordering::Relaxed;
 
 use anyhow::Result;
 use firmware::config::constants;
+use firmware::config::limits::GripLimits;
 use firmware::grip::commands::mode;
 use firmware::grip::states::{PowerState, TASK_CODE, TaskState};
 
+use super::log::Measured;
+use super::result_code::ResultCode;
 use super::session::{BEATS, RELEASE_S, Session, WaitResult, is_gripping};
-use super::{DEFAULT_SPEED_MM_S, mode_command, motion};
-use crate::commands::grasp::MARGIN_MM;
-use crate::commands::result_code::ResultCode;
+use super::{DEFAULT_SPEED_MM_S, MARGIN_MM, mode_command, motion};
 
 /// Timeouts in real seconds, with a margin for slow emulations.
 const DISABLE_S: f64 = 10.0;
 const CLOSE_S: f64 = 2.0;
-/// Opening of a release in mm.
+/// Opening of a release in mm, and the largest opening.
 const RELEASE_MM: f64 = 10.0;
+const MAX_MM: f64 = constants::STROKE.value - MARGIN_MM;
 
 impl Session {
     /// Ends what the session has begun, and the session.
@@ -69,12 +71,14 @@ impl Session {
                 TaskState::Foot if !self.owns_foot => return Ok(()),
                 TaskState::Foot => (mode::LEAVE, "leaving the ground contact timed out"),
                 task if is_in_motion(task) => (mode::STOP, "stopping timed out"),
+                // A soft object may still be pressed.
+                _ if self.owns_grip && self.presses() => (mode::RELEASE, "release timed out"),
                 _ => (mode::DISABLE, "disabling the drive timed out"),
             };
             let command = match mode {
                 mode::RELEASE => {
                     let opening_mm = self.opening_mm().unwrap_or(0.0) + RELEASE_MM;
-                    let opening_mm = opening_mm.min(constants::STROKE.value - MARGIN_MM);
+                    let opening_mm = opening_mm.min(MAX_MM);
                     motion(mode, opening_mm, DEFAULT_SPEED_MM_S)
                 }
                 mode => mode_command(mode),
@@ -96,6 +100,13 @@ impl Session {
             }
         }
         Ok(())
+    }
+
+    /// Whether the fingers press on something and can open further.
+    fn presses(&self) -> bool {
+        let Measured { force_n, opening_mm, .. } = Measured::of(&self.client);
+        let contact_n = f64::from(GripLimits::GRIPPER.contact_n);
+        force_n.is_some_and(|n| n > contact_n) && opening_mm.is_some_and(|mm| mm < MAX_MM - 1.0)
     }
 
     /// Waits for a step of the end; a timeout or Ctrl-C is an emergency stop.

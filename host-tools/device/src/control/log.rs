@@ -2,24 +2,33 @@
 
 use std::sync::mpsc::Sender;
 
-use anyhow::Error;
-use device::format;
-use device::session::Client;
 use firmware::protocol::opening_mm;
 use serde_json::{Value, json};
 
-use crate::commands::result_code::ResultCode;
+use super::session::Outcome;
+use crate::format;
+use crate::session::Client;
 
 /// Period of printed lines and of points in JSON, in seconds.
 const LINE_PERIOD_S: f64 = 1.0;
 const POINT_PERIOD_S: f64 = 0.05;
 
+/// Format of the lines during a session.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LineFormat {
+    /// No lines.
+    None,
+    /// Text for people.
+    Text,
+    /// A JSON object for each event.
+    Json,
+}
+
 /// States and measurements reported during a command.
-pub(super) struct CommandLog {
-    /// Receives the printed lines; none with --json.
-    lines: Option<Sender<String>>,
-    /// The lines are JSON objects.
-    is_json: bool,
+#[derive(Default)]
+pub struct CommandLog {
+    /// Receives the lines.
+    lines: Option<(Sender<String>, LineFormat)>,
     state: Option<u8>,
     active_faults: Vec<String>,
     line_s: f64,
@@ -33,19 +42,14 @@ pub(super) struct CommandLog {
 }
 
 impl CommandLog {
-    pub(super) fn new(lines: Option<Sender<String>>, is_json: bool) -> Self {
-        Self {
-            lines,
-            is_json,
-            state: None,
-            active_faults: Vec::new(),
-            line_s: 0.0,
-            point_s: 0.0,
-            points: Vec::new(),
-            states: Vec::new(),
-            faults: Vec::new(),
-            last_line: String::new(),
-        }
+    /// Sends lines in this format from now on.
+    pub fn print_to(&mut self, lines: Sender<String>, format: LineFormat) {
+        self.lines = Some((lines, format));
+    }
+
+    /// Ends the lines for their receiver.
+    pub(super) fn end_lines(&mut self) {
+        self.lines = None;
     }
 
     /// Records the current state of the client.
@@ -57,7 +61,7 @@ impl CommandLog {
         if let Some(code) = state.filter(|_| state != self.state) {
             let state = format::state_name(code);
             let state = json!({ "time_s": rounded(now_s), "state": state, "code": code });
-            self.print_event("state", &state);
+            self.event("state", &state);
             self.states.push(state);
         }
         if faults != self.active_faults {
@@ -68,7 +72,7 @@ impl CommandLog {
                 match self.faults.iter_mut().find(place) {
                     Some(known) => *known = fault,
                     None => {
-                        self.print_event("fault", &fault);
+                        self.event("fault", &fault);
                         self.faults.push(fault);
                     }
                 }
@@ -79,37 +83,34 @@ impl CommandLog {
             self.line_s = now_s;
             let line = self.line(client);
             if line != self.last_line {
-                self.print(format!("{now_s:>7.2} s  {line}"));
+                self.note(&format!("{now_s:>7.2} s  {line}"));
                 self.last_line = line;
             }
         }
         if now_s >= self.point_s + POINT_PERIOD_S {
             self.point_s = now_s;
             if let Some(point) = point(client, now_s) {
-                self.print_event("point", &point);
+                self.event("point", &point);
                 self.points.push(point);
             }
         }
     }
 
-    /// Prints a line of text, except with JSON.
-    pub(super) fn print(&self, line: String) {
-        if !self.is_json {
-            self.send(line);
-        }
+    /// Adds a line of text.
+    pub(super) fn note(&self, text: &str) {
+        self.send(LineFormat::Text, || text.to_owned());
     }
 
-    /// Prints a JSON object with --json-lines.
-    fn print_event(&self, event: &str, object: &Value) {
-        if self.is_json {
-            self.send(event_line(event, object));
-        }
+    fn event(&self, event: &str, object: &Value) {
+        self.send(LineFormat::Json, || event_line(event, object));
     }
 
-    fn send(&self, line: String) {
-        if let Some(lines) = &self.lines {
+    fn send(&self, of: LineFormat, line: impl FnOnce() -> String) {
+        if let Some((lines, format)) = &self.lines
+            && *format == of
+        {
             // Where nobody prints any more, nothing is lost.
-            let _ = lines.send(line);
+            let _ = lines.send(line());
         }
     }
 
@@ -131,45 +132,68 @@ impl CommandLog {
     fn state_text(&self) -> String {
         self.state.map_or("unknown".to_owned(), format::state_name)
     }
+}
 
-    /// Last line of --json-lines.
-    pub(super) fn result_line(&self, end: &SessionEnd, error: Option<&Error>) -> String {
-        event_line("result", &end.json(error)) + "\n"
+impl Outcome {
+    /// Last JSON object of the events of a session.
+    pub fn result_line(&self) -> String {
+        event_line("result", &self.result_json()) + "\n"
     }
 
-    /// The session as JSON. `error` is what is printed without --json.
-    pub(super) fn json(&self, client: &Client, end: &SessionEnd, error: Option<&Error>) -> Value {
+    /// The session as JSON.
+    pub fn json(&self) -> Value {
         json!({
             "simulated": false,
-            "gripper": client.name(),
-            "result": end.json(error),
-            "reached": end.is_reached,
-            "error": error.map(|error| format!("{error:#}")),
-            "disabled": end.is_disabled,
-            "left_gripped": end.is_left_gripped,
-            "states": self.states,
-            "points": self.points,
-            "faults": self.faults,
+            "gripper": self.gripper,
+            "result": self.result_json(),
+            "reached": self.is_reached,
+            "error": self.error_text(),
+            "disabled": self.is_disabled,
+            "left_gripped": self.is_left_gripped,
+            "states": self.log.states,
+            "points": self.log.points,
+            "faults": self.log.faults,
         })
     }
 
-    /// The session as text.
-    pub(super) fn text(&self, end: &SessionEnd) -> String {
-        let Measured { force_n, opening_mm, .. } = &end.measured;
+    fn result_json(&self) -> Value {
+        let Measured { time_s, state, force_n, opening_mm } = &self.measured;
+        json!({
+            "code": self.code.name(),
+            "status": self.code.status(),
+            "error": self.error_text(),
+            "time_s": time_s,
+            "state": state,
+            "force_n": force_n,
+            "opening_mm": opening_mm,
+        })
+    }
+
+    fn error_text(&self) -> Option<String> {
+        self.error.as_ref().map(|error| format!("{error:#}"))
+    }
+
+    /// The session as text, if it has no error.
+    pub fn text(&self) -> String {
+        let Measured { force_n, opening_mm, .. } = &self.measured;
         let values = force_n.zip(*opening_mm).map_or_else(String::new, |(force_n, opening_mm)| {
             format!(" with {force_n:.1} N at {opening_mm:.2} mm")
         });
-        format!("Done{values}. The gripper is in state {}.\n", self.state_text())
+        format!("Done{values}. The gripper is in state {}.\n", self.log.state_text())
     }
 }
 
 /// Measurements when the result was determined, before the session was ended.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Measured {
-    time_s: f64,
-    state: Option<String>,
-    pub(super) force_n: Option<f64>,
-    pub(super) opening_mm: Option<f64>,
+pub struct Measured {
+    /// Time in seconds since the start.
+    pub time_s: f64,
+    /// State of the gripper.
+    pub state: Option<String>,
+    /// Grasping force in newtons.
+    pub force_n: Option<f64>,
+    /// Opening in mm, if it is known.
+    pub opening_mm: Option<f64>,
 }
 
 impl Measured {
@@ -181,33 +205,6 @@ impl Measured {
             force_n: values.map(|([force_n, _], _)| rounded(force_n)),
             opening_mm: values.and_then(|(_, opening_mm)| opening_mm).map(rounded),
         }
-    }
-}
-
-/// How a session ended.
-pub(super) struct SessionEnd {
-    pub(super) code: ResultCode,
-    pub(super) measured: Measured,
-    /// The set-point was reached at any time.
-    pub(super) is_reached: bool,
-    /// The drive is disabled.
-    pub(super) is_disabled: bool,
-    /// An object that another host gripped is still held.
-    pub(super) is_left_gripped: bool,
-}
-
-impl SessionEnd {
-    fn json(&self, error: Option<&Error>) -> Value {
-        let Measured { time_s, state, force_n, opening_mm } = &self.measured;
-        json!({
-            "code": self.code.name(),
-            "status": self.code.status(),
-            "error": error.map(|error| format!("{error:#}")),
-            "time_s": time_s,
-            "state": state,
-            "force_n": force_n,
-            "opening_mm": opening_mm,
-        })
     }
 }
 
