@@ -79,6 +79,7 @@ mod unix {
             Trial::test("record_receives_every_tick_on_the_serial_line", record),
             Trial::test("a_socketcand_client_receives_heartbeats_until_ctrl_c", socketcand),
             Trial::test("a_profile_has_load_deadlines_and_stack", profile),
+            Trial::test("settings_survive_in_a_flash_file", flash_file),
             Trial::test("an_image_that_is_none_is_refused", refused),
         ];
         let trials =
@@ -429,6 +430,28 @@ mod unix {
             faults.retain(|fault| fault["code"] != Fault::StrangeFrames as u16);
         }
         is_clean(&measured);
+        Ok(())
+    }
+
+    fn flash_file() -> Result<(), Failed> {
+        let dir = WorkDir::empty();
+        let image = path(Variant::Default)?;
+        let line = |options: &str, emulation: &Emulation| {
+            dir.json(&format!(
+                "parameter command_timeout {options} --port {} --json",
+                emulation.serial
+            ))
+        };
+        let emulation = Emulation::start(&dir, &image, "--flash board.flash --json");
+        line("300 --save", &emulation);
+        is_clean(&emulation.end());
+        let emulation = Emulation::start(&dir, &image, "--flash board.flash --json");
+        assert_eq!(line("", &emulation)["parameters"][0]["value"], 300);
+        is_clean(&emulation.end());
+        std::fs::write(dir.path("notes.txt"), "not a flash memory")?;
+        let message = dir.failure(&format!("emulate {image} --flash notes.txt --seconds 1"));
+        assert!(message.contains("notes.txt"), "{message}");
+        assert_eq!(dir.read("notes.txt"), "not a flash memory");
         Ok(())
     }
 

@@ -94,6 +94,8 @@ impl Session {
                 (mode::LEAVE, Some(task)) => task != TaskState::Foot,
                 (_, Some(task)) => !is_in_motion(task),
             };
+            // As above, the state before a command is not its result.
+            let is_done = |session: &Self| session.client.beats >= BEATS && is_done(session);
             self.finish(limit_s, is_done, failed)?;
             if self.client.elapsed_s() >= end_s {
                 return self.finish(0.0, |_| false, failed);

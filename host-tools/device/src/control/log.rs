@@ -97,7 +97,7 @@ impl CommandLog {
     }
 
     /// Adds a line of text.
-    pub(super) fn note(&self, text: &str) {
+    pub fn note(&self, text: &str) {
         self.send(LineFormat::Text, || text.to_owned());
     }
 

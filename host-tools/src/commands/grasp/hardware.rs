@@ -54,13 +54,11 @@ pub(super) fn run(args: &Args) -> Result<()> {
     // The session has the only sender: its end is that of the lines.
     let (lines, printed) = channel();
     session.log.print_to(lines, format);
-    if format == LineFormat::Text {
-        eprintln!(
-            "warning: the gripper at {} moves: keep hands clear of the fingers; Ctrl-C ends the motion and opens a grasp of \
-             this command, a second one is an emergency stop",
-            session.client.name()
-        );
-    }
+    session.log.note(&format!(
+        "warning: the gripper at {} moves: keep hands clear of the fingers; Ctrl-C ends the motion and opens a grasp of this \
+         command, a second one is an emergency stop",
+        session.client.name()
+    ));
     let ended = end_on_interrupt()?;
     // A terminal that is paused, or a full pipe, must not delay the commands that keep the gripper alive.
     let outcome = thread::scope(|scope| {
