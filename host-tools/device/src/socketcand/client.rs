@@ -65,13 +65,17 @@ impl RemoteBus {
         let begun = Instant::now();
         while begun.elapsed() < ANSWER {
             let mut elements = Vec::new();
-            self.read(&mut elements)?;
+            // A server of another protocol may close the connection.
+            let is_closed = self.read(&mut elements).is_err();
             if let Some(place) = elements.iter().position(|element| element == answer) {
                 self.early.extend(elements.split_off(place + 1));
                 return Ok(());
             }
             if let Some(Element::Error(reason)) = elements.first() {
                 bail!("{}: the bus cannot be opened: {reason}", self.address);
+            }
+            if is_closed {
+                break;
             }
         }
         bail!(
