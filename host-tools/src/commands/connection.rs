@@ -14,10 +14,10 @@ use model_export::model_file::{BaseKind, ModelFile, Provenance};
 use model_export::output::StagingDir;
 use model_export::recordings::align::Alignment;
 
+use crate::commands::INTERRUPTED;
 use crate::commands::args::parse_number;
 use analysis::compare::campaign_reader::read_campaign;
 use analysis::fit::fit_campaign;
-use device::control::result_code::ResultCode;
 use device::key_file;
 use device::reference::{ReferenceMapping, ReferenceSource};
 use device::serial_port::SerialLine;
@@ -316,9 +316,8 @@ pub fn interrupted() -> Result<Arc<AtomicBool>> {
 /// A flag after which Ctrl-C or SIGTERM ends the process.
 pub fn end_on_interrupt() -> Result<Arc<AtomicBool>> {
     let flag = Arc::new(AtomicBool::new(false));
-    let status = ResultCode::Interrupted.status().into();
     for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
-        signal_hook::flag::register_conditional_shutdown(signal, status, flag.clone())
+        signal_hook::flag::register_conditional_shutdown(signal, INTERRUPTED, flag.clone())
             .context("cannot install the handler for Ctrl-C")?;
     }
     Ok(flag)

@@ -146,7 +146,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
 }
 
 /// Exit status of a process that Ctrl-C ended.
-const INTERRUPTED: i32 = 130;
+const INTERRUPTED: i32 = ResultCode::Interrupted.status() as i32;
 
 /// A flag that the first Ctrl-C sets; the second ends the process.
 fn first_interrupt() -> anyhow::Result<Arc<AtomicBool>> {

@@ -2,11 +2,10 @@
 
 use std::sync::mpsc::Sender;
 
-use firmware::protocol::opening_mm;
 use serde_json::{Value, json};
 
 use super::session::Outcome;
-use crate::format;
+use crate::format::{self, GripValues, rounded};
 use crate::session::Client;
 
 /// Period of printed lines and of points in JSON, in seconds.
@@ -116,11 +115,8 @@ impl CommandLog {
 
     fn line(&self, client: &Client) -> String {
         let mut text = format!("{:<14}", self.state_text());
-        if let Some(([force_n, current_a], opening_mm)) = measurements(client) {
-            let opening =
-                opening_mm.map_or_else(|| "unknown".to_owned(), |mm| format!("{mm:>6.2} mm"));
-            text +=
-                &format!("  force {force_n:>6.1} N  opening {opening}  current {current_a:>6.2} A");
+        if let Some(grip) = client.state.grip {
+            text += &format!("  {}", GripValues::of(&grip.value).line());
         }
         if self.active_faults.is_empty() {
             text
@@ -198,12 +194,12 @@ pub struct Measured {
 
 impl Measured {
     pub(super) fn of(client: &Client) -> Self {
-        let values = measurements(client);
+        let values = client.state.grip.map(|grip| GripValues::of(&grip.value));
         Self {
             time_s: rounded(client.elapsed_s()),
             state: client.state.heartbeat.map(|beat| format::state_name(beat.value.state)),
-            force_n: values.map(|([force_n, _], _)| rounded(force_n)),
-            opening_mm: values.and_then(|(_, opening_mm)| opening_mm).map(rounded),
+            force_n: values.map(|values| values.force_n),
+            opening_mm: values.and_then(|values| values.opening_mm),
         }
     }
 }
@@ -217,28 +213,17 @@ fn event_line(event: &str, object: &Value) -> String {
     line.to_string()
 }
 
-/// Grasping force in newtons and current in amperes; opening in millimetres, if it is known.
-fn measurements(client: &Client) -> Option<([f64; 2], Option<f64>)> {
-    let status = client.state.grip?.value;
-    let values = [0.1 * f64::from(status.force), 0.01 * f64::from(status.current)];
-    Some((values, opening_mm(&status)))
-}
-
 /// The state is that of the last heartbeat, up to 0.1 s old.
 fn point(client: &Client, now_s: f64) -> Option<Value> {
-    let ([force_n, current_a], opening_mm) = measurements(client)?;
+    let GripValues { force_n, opening_mm, current_a, .. } =
+        GripValues::of(&client.state.grip?.value);
     let heartbeat = client.state.heartbeat;
     Some(json!({
         "time_s": rounded(now_s),
         "state": heartbeat.map(|beat| format::state_name(beat.value.state)),
         "state_age_s": heartbeat.map(|beat| rounded(now_s - beat.at_s)),
-        "force_n": rounded(force_n),
-        "opening_mm": opening_mm.map(rounded),
-        "current_a": rounded(current_a),
+        "force_n": force_n,
+        "opening_mm": opening_mm,
+        "current_a": current_a,
     }))
-}
-
-/// Rounds to three decimals, the resolution of the messages.
-fn rounded(value: f64) -> f64 {
-    (1e3 * value).round() / 1e3
 }

@@ -10,7 +10,7 @@ use ratatui::text::{Line, Span};
 use ratatui::widgets::{Axis, Block, Cell, Chart, Dataset, GraphType, Paragraph, Row, Table, Wrap};
 
 use crate::format::{
-    covariates_line, degrees, fault_line, grip_line, loss_line, power_line, state_name,
+    GripValues, covariates_line, degrees, fault_line, loss_line, power_line, state_name,
     validity_name,
 };
 use crate::state::{GripperState, HISTORY_S, SensorState};
@@ -73,7 +73,7 @@ fn heading(name: &str, state: &GripperState, now_s: f64) -> Paragraph<'static> {
     if state.is_unprotected() {
         about.push(", unprotected: no key".yellow());
     }
-    let grip = state.grip.map_or_else(String::new, |latest| grip_line(&latest.value));
+    let grip = state.grip.map_or_else(String::new, |latest| GripValues::of(&latest.value).line());
     let covariates = state.covariates.map_or(grip, |latest| covariates_line(&latest.value));
     Paragraph::new(vec![first, Line::from(about), Line::from(covariates)])
 }
