@@ -7,6 +7,9 @@
 //! An effect that lags the load, such as viscous lag, is seen as a delay. If the lateral and the longitudinal forces differ,
 //! the smaller delay is the clock's, because a field follows its load. What both axes have in common stays in the delay:
 //! compare with `viscous_lag` and `clock_skew` of `diagnose`.
+//!
+//! A small standard error is no evidence that the reference is the right one: of 50 simulated pairs of unrelated fields and forces, 31
+//! have one of at most 2 ms. [`DelayDoubt`] states what else is required; these pairs have at most 0.29 of their variance explained.
 
 use std::collections::BTreeSet;
 use std::path::Path;
