@@ -9,4 +9,13 @@
 //! - `report`: results as text, tables and HTML pages.
 //! - `device`: access to a running gripper.
 
+/// Prints a line on stderr. Unlike the standard macro it goes on where nobody reads the line: a closed pipe must end neither a
+/// recording nor the control of a gripper.
+macro_rules! eprintln {
+    ($($part:tt)*) => {{
+        use std::io::Write as _;
+        let _ = writeln!(std::io::stderr(), $($part)*);
+    }};
+}
+
 pub mod commands;

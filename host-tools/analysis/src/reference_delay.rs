@@ -7,6 +7,9 @@
 //! An effect that lags the load, such as viscous lag, is seen as a delay. If the lateral and the longitudinal forces differ,
 //! the smaller delay is the clock's, because a field follows its load. What both axes have in common stays in the delay:
 //! compare with `viscous_lag` and `clock_skew` of `diagnose`.
+//!
+//! A small standard error is no evidence that the reference is the right one: of 50 simulated pairs of unrelated fields and forces, 31
+//! have one of at most 2 ms. [`DelayDoubt`] states what else is required; these pairs have at most 0.29 of their variance explained.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -75,6 +78,65 @@ pub struct Delay {
     /// Additional delay of the lateral and of the longitudinal forces in seconds: the lag of an effect; zero where the axes
     /// agree.
     pub lag_s: [f64; 2],
+    /// Unexplained variance at this delay relative to that at the next best separate delay; zero where there is none.
+    pub rival: f64,
+    /// Unexplained variance at this delay relative to its median over the search range.
+    pub depth: f64,
+}
+
+/// Least share of the variance that the fields of the right reference explain: the rest is friction, hysteresis and noise.
+const MIN_EXPLAINED: f64 = 0.5;
+/// Largest ratios of [`Delay::rival`] and [`Delay::depth`] of a distinct delay.
+const MAX_RIVAL: f64 = 0.8;
+const MAX_DEPTH: f64 = 0.7;
+/// Standard error above which the estimated delay is not applied: half a millisecond is the goal.
+const MAX_STANDARD_ERROR_S: f64 = 2e-3;
+
+/// Why an estimated delay is not applied.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum DelayDoubt {
+    /// The forces hardly vary.
+    NoVariation,
+    /// The fields do not explain the forces.
+    Unexplained,
+    /// Another delay explains them nearly as well.
+    Ambiguous,
+    /// All delays explain them nearly as well: the forces vary slowly.
+    SlowVariation,
+    /// The standard error is too large.
+    Imprecise,
+}
+
+impl DelayDoubt {
+    /// Reason, and what to record instead.
+    pub const fn text(self) -> &'static str {
+        match self {
+            Self::NoVariation => "its forces hardly vary: vary the loads, or tap",
+            Self::Unexplained => {
+                "the fields explain too little of it: is it the reference of this gripper, with the right columns?"
+            }
+            Self::Ambiguous => {
+                "another delay explains it nearly as well: vary the loads without a period, or tap"
+            }
+            Self::SlowVariation => {
+                "every delay explains it nearly as well: vary the loads faster, or tap"
+            }
+            Self::Imprecise => "the estimate is not precise enough: vary the loads faster, or tap",
+        }
+    }
+
+    /// Why this delay is not applied; none if the data support it.
+    fn of(delay: Option<&Delay>) -> Option<Self> {
+        let Some(delay) = delay else { return Some(Self::NoVariation) };
+        let doubts = [
+            (delay.explained < MIN_EXPLAINED, Self::Unexplained),
+            (delay.rival > MAX_RIVAL, Self::Ambiguous),
+            (delay.depth > MAX_DEPTH, Self::SlowVariation),
+            (delay.standard_error_s > MAX_STANDARD_ERROR_S, Self::Imprecise),
+        ];
+        doubts.into_iter().find_map(|(is_in_doubt, doubt)| is_in_doubt.then_some(doubt))
+    }
 }
 
 /// Estimates the delay within `±search_s`. `None` if no force varies, or the series do not overlap.
@@ -85,22 +147,37 @@ pub fn estimate(fields: &[FieldSeries], forces: &[ForceSeries], search_s: f64) -
     if channels.is_empty() {
         return None;
     }
-    let cost = |delay_s: f64| {
+    // Mean logarithm of the unexplained variance.
+    let unexplained = |delay_s: f64| {
         let fits = channels.iter().map(|channel| channel.fit(delay_s));
-        let tie = TIE * channels.len() as f64 * delay_s.abs() / search_s;
         let logarithms = fits.map(|fit| fit.map_or(0.0, |fit| (fit.unexplained.max(1e-12)).ln()));
-        tie + logarithms.sum::<f64>()
+        logarithms.sum::<f64>() / channels.len() as f64
     };
     let mut best_s = 0.0;
     let mut reach_s = search_s;
+    let mut coarse = Vec::new();
     for step_s in STEPS_S {
         let steps = (reach_s / step_s).ceil() as i32;
         let centre_s = best_s;
         let tried = (-steps..=steps).map(|step| centre_s + f64::from(step) * step_s);
-        best_s = tried.min_by(|a, b| cost(*a).total_cmp(&cost(*b)))?;
+        let costs: Vec<_> = tried.map(|delay_s| (delay_s, unexplained(delay_s))).collect();
+        let cost =
+            |(delay_s, unexplained): &(f64, f64)| unexplained + TIE * delay_s.abs() / search_s;
+        (best_s, _) = *costs.iter().min_by(|a, b| cost(a).total_cmp(&cost(b)))?;
         reach_s = step_s;
+        if coarse.is_empty() {
+            coarse = costs;
+        }
     }
     let delay = refine(&channels, best_s)?;
+    let best = unexplained(delay.delay_s);
+    // A minimum of the coarse grid is up to half a step beside that of the curve.
+    let refined = |near_s| refine(&channels, near_s).map(|delay| unexplained(delay.delay_s));
+    let rival = rival_s(&coarse, delay.delay_s).and_then(refined);
+    let rival = rival.map_or(0.0, |rival| (best - rival).exp());
+    coarse.sort_by(|a, b| a.1.total_cmp(&b.1));
+    let depth = coarse.get(coarse.len() / 2).map_or(1.0, |(_, median)| (best - median).exp());
+    let delay = Delay { rival, depth, ..delay };
     let by_axis = [0, 1].map(|axis| {
         let of_axis: Vec<Channel> =
             channels.iter().filter(|channel| channel.axis == axis).cloned().collect();
@@ -112,10 +189,21 @@ pub fn estimate(fields: &[FieldSeries], forces: &[ForceSeries], search_s: f64) -
     Some(if difference_s.abs() < LAG_SIGMAS * sigma_s {
         delay
     } else if difference_s > 0.0 {
-        Delay { lag_s: [difference_s, 0.0], ..z }
+        Delay { lag_s: [difference_s, 0.0], rival, depth, ..z }
     } else {
-        Delay { lag_s: [0.0, -difference_s], ..x }
+        Delay { lag_s: [0.0, -difference_s], rival, depth, ..x }
     })
+}
+
+/// Best separate delay: a minimum of the unexplained variance over the search range, or its end.
+fn rival_s(coarse: &[(f64, f64)], best_s: f64) -> Option<f64> {
+    let is_minimum = |place: usize| {
+        let neighbours = [place.checked_sub(1), Some(place + 1)].into_iter().flatten();
+        neighbours.filter_map(|place| coarse.get(place)).all(|(_, other)| coarse[place].1 <= *other)
+    };
+    let minima = (0..coarse.len()).filter(|place| is_minimum(*place)).map(|place| coarse[place]);
+    let separate = minima.filter(|(delay_s, _)| (delay_s - best_s).abs() > 1.5 * STEPS_S[0]);
+    separate.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(delay_s, _)| delay_s)
 }
 
 /// Share of the variance of each force that the fields at its times do not explain; NaN where it does not vary.
@@ -194,34 +282,28 @@ pub fn series(folder: &Path) -> Result<(Vec<FieldSeries>, Vec<ForceSeries>), Dat
 
 /// Largest delay of the reference: that of a slow amplifier and of the buffers on its way.
 const SEARCH_S: f64 = 0.3;
-/// Standard error above which the estimated delay is not applied: half a millisecond is the goal.
-const MAX_STANDARD_ERROR_S: f64 = 2e-3;
-
 /// Alignment of the reference's clock.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ReferenceAlignment {
     /// The estimate; none where the loads do not show it.
     pub delay: Option<Delay>,
-    /// Whether the times of the reference were corrected by it.
-    pub is_applied: bool,
+    /// Why the times of the reference were not corrected by it; none where they were.
+    pub doubt: Option<DelayDoubt>,
 }
 
-/// Estimates the delay of a new recording's reference and corrects its times, if the estimate is precise enough.
+/// Estimates the delay of a new recording's reference and corrects its times, if the data support the estimate.
 ///
 /// # Errors
 /// A table cannot be read or written.
 pub fn align_recording(folder: &Path) -> anyhow::Result<ReferenceAlignment> {
     let spinner = progress::status_spinner("aligning the reference");
     let delay = of_recording(folder, SEARCH_S)?;
-    let is_applied = match delay {
-        Some(delay) if delay.standard_error_s <= MAX_STANDARD_ERROR_S => {
-            shift_reference(folder, delay.delay_s)?;
-            true
-        }
-        _ => false,
-    };
+    let doubt = DelayDoubt::of(delay.as_ref());
+    if let (Some(delay), None) = (delay, doubt) {
+        shift_reference(folder, delay.delay_s)?;
+    }
     spinner.finish_and_clear();
-    Ok(ReferenceAlignment { delay, is_applied })
+    Ok(ReferenceAlignment { delay, doubt })
 }
 
 /// Adds a delay to the times of `force.csv`: a new file, renamed at the end. Rows before the board's first are removed.
@@ -316,6 +398,8 @@ fn interval(channels: &[Channel], delay_s: f64) -> Option<Delay> {
         interval_s: [delay_s - reach_s, delay_s + reach_s],
         explained: 1.0 - unexplained / fitted,
         lag_s: [0.0; 2],
+        rival: 0.0,
+        depth: 0.0,
     })
 }
 
@@ -574,6 +658,54 @@ mod tests {
             assert!((found.delay_s - 0.03).abs() < 0.7e-3, "{found:?}");
         }
         assert!((lag_sum_s / 20.0 - 5e-3).abs() < 0.3e-3, "{lag_sum_s}");
+    }
+
+    #[test]
+    fn delay_is_applied_only_to_the_reference_of_the_gripper() {
+        let mut explained: f64 = 0.0;
+        for seed in 0..50 {
+            let (fields, forces) = recording(seed, 0.03);
+            let found = estimate(&fields, &forces, SEARCH_S);
+            assert_eq!(DelayDoubt::of(found.as_ref()), None, "{seed}: {found:?}");
+            // The forces of another experiment.
+            let (_, others) = recording(1000 + seed, 0.0);
+            let found = estimate(&fields, &others, SEARCH_S);
+            explained = explained.max(found.map_or(0.0, |delay| delay.explained));
+            assert!(DelayDoubt::of(found.as_ref()).is_some(), "{seed}: {found:?}");
+        }
+        println!("unrelated forces: at most {explained:.2} explained");
+    }
+
+    #[test]
+    fn delay_of_periodic_or_slow_loads_is_not_applied() {
+        // Field and force of one load; its noise is that of the sensors.
+        let loaded = |load: &dyn Fn(f64) -> f64| {
+            let mut rng = ChaCha8Rng::seed_from_u64(1);
+            let mut noise = |sigma: f64| {
+                let normal: f64 = StandardNormal.sample(&mut rng);
+                sigma * normal
+            };
+            let mut field = FieldSeries::default();
+            for tick in 0..(1000.0 * SECONDS) as u32 {
+                let time_s = 1e-3 * f64::from(tick);
+                field.time_s.push(time_s);
+                field.field.push([1.8 * load(time_s), 0.0, 0.0].map(|gauss| gauss + noise(0.35)));
+            }
+            let mut force = ForceSeries::default();
+            for row in 0..(100.0 * SECONDS) as u32 {
+                let time_s = 1e-2 * f64::from(row);
+                force.time_s.push(time_s - 0.03);
+                force.force_n.push(load(time_s) + noise(0.5));
+            }
+            let found = estimate(&[field], &[force], SEARCH_S);
+            (DelayDoubt::of(found.as_ref()), found)
+        };
+        let (doubt, found) = loaded(&|time_s| 20.0 * (TAU * 5.0 * time_s).sin());
+        assert_eq!(doubt, Some(DelayDoubt::Ambiguous), "{found:?}");
+        let (doubt, found) = loaded(&|time_s| 1.5 * time_s);
+        assert!(doubt.is_some(), "{found:?}");
+        let (doubt, found) = loaded(&|_| 0.0);
+        assert!(doubt.is_some(), "{found:?}");
     }
 
     #[test]

@@ -17,7 +17,7 @@ use model_export::inverse::calibration::CalibrationDescription;
 use serde::Serialize;
 
 use crate::session::SessionSource;
-use crate::source::Source;
+use crate::source::{ConnectionLost, Source};
 
 /// Timeout of a request and number of attempts.
 const PATIENCE: Duration = Duration::from_millis(500);
@@ -226,6 +226,9 @@ pub fn tare(source: &mut SessionSource<'_>, is_unloaded: bool, saves: bool) -> R
             return Ok(());
         }
         (status::ARMED, _) => "a host is armed or the motor is driven".to_owned(),
+        (status::GRIPPING, _) if is_unloaded => {
+            "an object is gripped: open the fingers first (`cargo magpie grasp --release`)".to_owned()
+        }
         (status::GRIPPING, _) => "both fingers press on something, or seem to: remove it; if nothing is there, the tables \
                                   do not fit and --unloaded tares nevertheless"
             .to_owned(),
@@ -387,10 +390,7 @@ fn ask<T>(
             return Ok(answer);
         }
     }
-    bail!(
-        "{}: no gripper replies; is this the right line or bus, is the board powered, and is its firmware running?",
-        source.name()
-    )
+    Err(ConnectionLost::unreachable(&source.name()).into())
 }
 
 /// Sends a request once; none without an answer in time.

@@ -7,8 +7,8 @@ use firmware::estimator::Validity;
 use firmware::fixed_point::Force;
 use firmware::grip::states::{PowerState, TaskState};
 use firmware::protocol::SERIAL;
-use firmware::protocol::TEMPERATURE_UNKNOWN;
-use firmware::protocol::messages::{FaultEvent, Power};
+use firmware::protocol::messages::{FaultEvent, GripStatus, Power};
+use firmware::protocol::{TEMPERATURE_UNKNOWN, opening_mm};
 use firmware::sensors::hall;
 use firmware::system::faults::Fault;
 use firmware::system::nv_storage::ParameterOrigin;
@@ -133,6 +133,7 @@ pub fn state_json(state: &GripperState, now_s: f64) -> Value {
             "failed_transfers": latest.value.i2c_errors,
             "missed_ticks": latest.value.missed_ticks,
         })),
+        "grip": state.grip.map(|latest| GripValues::of(&latest.value).json()),
         "covariates": state.covariates.map(|latest| covariates_json(&latest.value)),
         "power": state.power.map(|latest| power_json(&latest.value)),
         "ticks_hz": state.ticks_hz,
@@ -234,6 +235,48 @@ fn covariates_json(covariates: &Covariates) -> Value {
     })
 }
 
+/// Status of the grip in SI units and millimetres.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GripValues {
+    /// Grasping force in newtons.
+    pub force_n: f64,
+    /// Opening in mm, if it is known.
+    pub opening_mm: Option<f64>,
+    /// Speed of the opening in mm/s.
+    pub opening_mm_s: f64,
+    /// Quadrature current in amperes.
+    pub current_a: f64,
+}
+
+impl GripValues {
+    /// Values of a message, without the noise of the conversion.
+    pub fn of(grip: &GripStatus) -> Self {
+        Self {
+            force_n: rounded(0.1 * f64::from(grip.force)),
+            opening_mm: opening_mm(grip).map(rounded),
+            opening_mm_s: rounded(0.01 * f64::from(grip.speed)),
+            current_a: rounded(0.01 * f64::from(grip.current)),
+        }
+    }
+
+    /// As text.
+    pub fn line(&self) -> String {
+        let Self { force_n, current_a, .. } = self;
+        let opening =
+            self.opening_mm.map_or_else(|| "unknown".to_owned(), |mm| format!("{mm:>6.2} mm"));
+        format!("force {force_n:>6.1} N  opening {opening}  current {current_a:>6.2} A")
+    }
+
+    fn json(&self) -> Value {
+        json!({
+            "force_n": self.force_n,
+            "opening_mm": self.opening_mm,
+            "opening_mm_s": self.opening_mm_s,
+            "current_a": self.current_a,
+        })
+    }
+}
+
 /// Supply and temperatures as text.
 pub fn power_line(power: &Power) -> String {
     let degrees = |value: i8| match value {
@@ -266,9 +309,9 @@ pub fn degrees(counts: i16) -> f64 {
     hall::celsius(counts).into()
 }
 
-/// Rounds to milliseconds.
-fn rounded(seconds: f64) -> f64 {
-    (1e3 * seconds).round() / 1e3
+/// Rounds to three decimals, the resolution of times and messages.
+pub(crate) fn rounded(value: f64) -> f64 {
+    (1e3 * value).round() / 1e3
 }
 
 /// Name of a fault: "sensor lost".

@@ -5,6 +5,7 @@
 //! - [`pty`]: pseudo terminal.
 //! - [`virtual_board`]: the firmware's tasks in virtual time, synchronised to the wall clock, behind pseudo terminals.
 //! - [`emulation`]: the image in the emulated chip, with its serial line and CAN bus as ports of this machine.
+//! - [`control`]: motions, grasps and landings in sessions, with their results.
 //! - [`session`]: sessions, authenticated requests, refusals.
 //! - [`key_file`]: the key that a gripper and its hosts share.
 //! - [`reader`]: a transport read in its own thread.
@@ -19,6 +20,7 @@
 
 pub mod board_topics;
 pub mod calibration_client;
+pub mod control;
 pub mod csv_writer;
 #[cfg(unix)]
 pub mod emulation;

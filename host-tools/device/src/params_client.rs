@@ -9,7 +9,7 @@ use firmware::protocol::messages::{Message, ParamReply, ParamRequest};
 use firmware::protocol::serial::Packet;
 
 use crate::session::SessionSource;
-use crate::source::Source;
+use crate::source::{ConnectionLost, Source};
 
 /// Timeout of a request and number of attempts.
 const PATIENCE: Duration = Duration::from_millis(250);
@@ -48,10 +48,7 @@ fn ask(source: &mut dyn Source, op: u8, id: u16, value: i32) -> Result<i32> {
             }
         }
     }
-    bail!(
-        "{}: no gripper replies; is this the right line or bus, is the board powered, and is its firmware running?",
-        source.name()
-    )
+    Err(ConnectionLost::unreachable(&source.name()).into())
 }
 
 fn reply(packet: &Packet, op: u8, id: u16) -> Option<ParamReply> {

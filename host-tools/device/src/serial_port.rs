@@ -7,7 +7,7 @@ use firmware::protocol::messages::Message;
 use firmware::protocol::serial::{BAUD_RATE, MAX_PACKET_BYTES, Packet, PacketDecoder, encode};
 use serialport::{ClearBuffer, SerialPort};
 
-use crate::source::{Source, WAIT};
+use crate::source::{ConnectionLost, Source, WAIT};
 
 /// Serial line.
 pub struct SerialLine {
@@ -39,10 +39,10 @@ impl SerialLine {
 impl Source for SerialLine {
     fn receive(&mut self, packets: &mut Vec<Packet>) -> Result<bool> {
         let count = match self.port.read(&mut self.bytes) {
-            Ok(0) => bail!("{}", gone(&self.path, &io::Error::from(ErrorKind::UnexpectedEof))),
+            Ok(0) => bail!(gone(&self.path, &io::Error::from(ErrorKind::UnexpectedEof))),
             Ok(count) => count,
             Err(error) if is_silence(&error) => 0,
-            Err(error) => bail!("{}", gone(&self.path, &error)),
+            Err(error) => bail!(gone(&self.path, &error)),
         };
         let bytes = self.bytes.iter().take(count);
         packets.extend(bytes.filter_map(|byte| self.receiver.push(*byte)));
@@ -55,7 +55,7 @@ impl Source for SerialLine {
         let bytes = encode(&packet, &mut buffer)
             .ok_or_else(|| anyhow!("{packet:?} is too long for the line"))?;
         let written = self.port.write_all(bytes);
-        written.map_err(|error| anyhow!("{}", gone(&self.path, &error)))
+        written.map_err(|error| gone(&self.path, &error).into())
     }
 
     fn broken(&self) -> u32 {
@@ -71,8 +71,8 @@ fn is_silence(error: &io::Error) -> bool {
     matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted | ErrorKind::WouldBlock)
 }
 
-fn gone(path: &str, error: &io::Error) -> String {
-    format!("{path}: the line is gone ({error}); look at the plug and at the board's supply")
+fn gone(path: &str, error: &io::Error) -> ConnectionLost {
+    ConnectionLost(format!("{path}: {error}; check the plug and the board's supply"))
 }
 
 /// Reason why a port cannot be opened, with a remedy.
@@ -85,7 +85,8 @@ fn refused(path: &str, kind: serialport::ErrorKind, description: &str) -> anyhow
              again"
         ),
         NoDevice => anyhow!(
-            "{path}: in use by another program ({description}); close it (`fuser {path}` names it)"
+            "{path}: in use by another program, and a serial port serves one at a time ({description}): close that program \
+             (`fuser {path}` names it), or use the CAN bus, which also carries --stop and --release beside it"
         ),
         _ => anyhow!("{path}: cannot be opened as a serial port ({description}); {}", ports()),
     }

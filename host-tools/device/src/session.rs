@@ -1,11 +1,14 @@
 //! Sessions of this machine with a gripper: a client that repeats a command, a connection whose requests are authenticated,
 //! refusals as text.
 
+use crate::control::CLOSED_MM;
 use crate::format::state_name;
-use crate::source::Source;
+use crate::source::{ConnectionLost, SILENCE, Source};
 use crate::state::GripperState;
 use anyhow::{Result, bail};
-use firmware::grip::commands::RefusalReason;
+use firmware::config::limits::GripLimits;
+use firmware::grip::commands::{RefusalReason, mode};
+use firmware::protocol::PROTOCOL_VERSION;
 use firmware::protocol::authentication::{DataMac, Key};
 use firmware::protocol::host_session::{HostSession, needs_owner, service};
 use firmware::protocol::messages::{Command, EStop, Message, ServiceReply};
@@ -88,10 +91,7 @@ impl SessionSource<'_> {
             Some(status) => {
                 bail!("{name}: the gripper opens no session: {}", session_refusal(status))
             }
-            None => bail!(
-                "{name}: no gripper replies; is this the right line or bus, is the board powered, and is its firmware \
-                 running?"
-            ),
+            None => Err(ConnectionLost::unreachable(&name).into()),
         }
     }
 }
@@ -164,6 +164,8 @@ pub struct Client {
     pub not_armed: Option<u8>,
     /// Last refused command since [`Self::command`].
     pub refused: Option<Refusal>,
+    /// Heartbeats since [`Self::command`].
+    pub beats: u32,
 }
 
 impl Client {
@@ -179,6 +181,7 @@ impl Client {
             state: GripperState::default(),
             not_armed: None,
             refused: None,
+            beats: 0,
         }
     }
 
@@ -247,7 +250,7 @@ impl Client {
     /// Command to repeat from now on.
     pub const fn command(&mut self, command: Command) {
         self.command = Some(command);
-        (self.sent, self.refused) = (None, None);
+        (self.sent, self.refused, self.beats) = (None, None, 0);
     }
 
     /// Stops the gripper and ends the repetition.
@@ -270,12 +273,19 @@ impl Client {
         self.state.lost.broken = self.source.broken();
         for packet in &packets {
             self.state.update(now_s, packet);
-            if let Packet::Message { message: Message::ServiceReply(reply), .. } = packet {
-                self.reply(reply)?;
+            match packet {
+                Packet::Message { message: Message::ServiceReply(reply), .. } => {
+                    self.reply(reply)?
+                }
+                Packet::Message { message: Message::Heartbeat(_), .. } => {
+                    self.beats = self.beats.saturating_add(1);
+                }
+                _ => {}
             }
         }
-        if !goes_on {
-            bail!("{}: the gripper closed the connection", self.name());
+        let silent_s = self.state.received_s.map(|received_s| now_s - received_s);
+        if !goes_on || silent_s.is_some_and(|silent_s| silent_s > SILENCE.as_secs_f64()) {
+            return Err(ConnectionLost::silent(&self.name()).into());
         }
         self.send_due()
     }
@@ -335,20 +345,47 @@ impl Refusal {
         Self { mode, state, reason }
     }
 
-    /// Whether the reason is a latched stop.
-    pub const fn is_stopped(&self) -> bool {
-        self.reason == RefusalReason::Stopped as u8
+    /// Whether the drive is not enabled.
+    pub const fn is_not_enabled(&self) -> bool {
+        self.reason == RefusalReason::NotEnabled as u8
+    }
+
+    /// Whether the reason is a fault.
+    pub const fn is_of_fault(&self) -> bool {
+        self.reason == RefusalReason::FaultActive as u8
+            || self.reason == RefusalReason::FaultLatched as u8
+    }
+
+    /// Whether a repetition may be accepted: the current offsets are being measured, the session begins, or the fingers still
+    /// move towards the end of an earlier command.
+    pub fn is_transient(&self) -> bool {
+        let begins = [mode::ENABLE, mode::RELEASE].contains(&self.mode) && self.is_not_enabled();
+        let ends = self.mode == mode::DISABLE && self.reason != RefusalReason::Stopped as u8;
+        begins || ends || self.reason == RefusalReason::MotorNotReady as u8
     }
 
     /// Reason, state and remedy as text.
     pub fn words(&self) -> String {
         let reason = REASONS.into_iter().find(|reason| *reason as u8 == self.reason);
         let reason = match reason {
+            Some(RefusalReason::NotParked) => {
+                format!("{}: {}", advice(RefusalReason::NotParked), foot_openings())
+            }
             Some(reason) => advice(reason).to_owned(),
             None => format!("reason {}, unknown to this tool", self.reason),
         };
         format!("refused in state {}: {reason}", state_name(self.state))
     }
+}
+
+/// Openings at which ground contact may begin, and how to reach them.
+pub fn foot_openings() -> String {
+    let GripLimits { flat_contact_mm, line_contact_mm: [line_mm, tolerance_mm], .. } =
+        GripLimits::GRIPPER;
+    format!(
+        "flat needs at most {flat_contact_mm} mm (first --position {CLOSED_MM}), --contact line {line_mm} ± {tolerance_mm} mm \
+         (first --position {line_mm})"
+    )
 }
 
 const REASONS: [RefusalReason; 15] = [
@@ -392,12 +429,25 @@ const fn advice(reason: RefusalReason) -> &'static str {
             "no finger reports a valid force: check the sensors with `cargo magpie monitor`"
         }
         RefusalReason::Loaded => "the fingers are loaded: remove the load",
-        RefusalReason::NotParked => {
-            "wrong opening for ground-contact mode: close the fingers, or open them fully"
-        }
+        RefusalReason::NotParked => "the opening is not that of the ground contact",
         RefusalReason::Stopped => {
             "a stop is latched: make sure that the gripper may move again, then use --clear-faults"
         }
+    }
+}
+
+/// Checks the version of the protocol: messages of another major version would be misinterpreted.
+///
+/// # Errors
+/// The gripper has another major protocol version.
+pub fn check_protocol(state: &GripperState) -> Result<()> {
+    let version = state.version.map(|version| version.protocol_major);
+    match version.or(state.heartbeat.map(|beat| beat.value.protocol_major)) {
+        Some(major) if major != PROTOCOL_VERSION.0 => bail!(
+            "the gripper uses protocol version {major}, this tool {}: use the tool version of its firmware",
+            PROTOCOL_VERSION.0
+        ),
+        _ => Ok(()),
     }
 }
 
@@ -491,7 +541,8 @@ mod tests {
             };
             let refusal = Refusal::of(refused.reply().detail);
             assert_eq!(refusal.mode, 4);
-            assert_eq!(refusal.words(), format!("refused in state unhomed: {}", advice(reason)));
+            let words = format!("refused in state unhomed: {}", advice(reason));
+            assert!(refusal.words().starts_with(&words), "{}", refusal.words());
         }
     }
 }

@@ -15,7 +15,7 @@ mod linux {
     use firmware::protocol::{can as wire, frame_id};
     use socketcan::{CanFilter, CanFrame, CanSocket, Socket, SocketOptions};
 
-    use crate::source::{Source, WAIT, packet};
+    use crate::source::{ConnectionLost, Source, WAIT, packet};
 
     /// Maximum number of frames per batch.
     const BATCH: usize = 64;
@@ -56,10 +56,11 @@ mod linux {
     }
 
     fn gone(interface: &str, error: &io::Error) -> anyhow::Error {
-        anyhow!(
-            "{interface}: the bus is gone ({error}); `ip -details link show {interface}` says why, `sudo ip link set \
-             {interface} up` brings it back"
-        )
+        let text = format!(
+            "{interface}: {error}; `ip -details link show {interface}` states the reason, `sudo ip link set {interface} \
+             up` starts the bus again"
+        );
+        ConnectionLost(text).into()
     }
 
     fn is_pending(error: &io::Error) -> bool {

@@ -1,5 +1,6 @@
 //! Transport of packets from and to a gripper.
 
+use std::fmt;
 use std::sync::LazyLock;
 use std::thread::sleep;
 use std::time::{Duration, Instant};
@@ -12,12 +13,44 @@ use firmware::protocol::serial::Packet;
 /// Maximum waiting time of [`Source::receive`].
 pub const WAIT: Duration = Duration::from_millis(50);
 
+/// Time without a message after which a gripper counts as unreachable: 30 heartbeats.
+pub const SILENCE: Duration = Duration::from_secs(3);
+
+/// The connection to the gripper has ended, or nothing arrives any more: where, and what to check.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ConnectionLost(pub String);
+
+impl ConnectionLost {
+    /// Of a connection on which nothing has arrived.
+    pub fn unreachable(name: &str) -> Self {
+        Self(format!(
+            "{name}: no gripper replies; is this the right line or bus, is the board powered, and is its firmware running?"
+        ))
+    }
+
+    /// Of a connection on which nothing arrives any more.
+    pub fn silent(name: &str) -> Self {
+        Self(format!(
+            "{name}: no message for {} s; check the cable, and whether the board is powered",
+            SILENCE.as_secs()
+        ))
+    }
+}
+
+impl fmt::Display for ConnectionLost {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "connection lost: {}", self.0)
+    }
+}
+
+impl std::error::Error for ConnectionLost {}
+
 /// Connection to a gripper.
 pub trait Source {
-    /// Appends received packets in order; returns false at the end of the stream.
+    /// Appends received packets in order; returns false at the end of a replayed recording.
     ///
     /// # Errors
-    /// The connection is lost.
+    /// The connection is lost ([`ConnectionLost`]).
     fn receive(&mut self, packets: &mut Vec<Packet>) -> Result<bool>;
 
     /// Sends a message to the gripper.

@@ -5,15 +5,16 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
+use firmware::protocol::DEFAULT_NODE;
 use firmware::protocol::authentication::Key;
-use firmware::protocol::{DEFAULT_NODE, PROTOCOL_VERSION};
 use model_export::fit::FitOptions;
 use model_export::inverse::build::{DeviceModel, ModelVariant, build};
 use model_export::model_file::{BaseKind, ModelFile, Provenance};
 use model_export::output::StagingDir;
 use model_export::recordings::align::Alignment;
 
+use crate::commands::INTERRUPTED;
 use crate::commands::args::parse_number;
 use analysis::compare::campaign_reader::read_campaign;
 use analysis::fit::fit_campaign;
@@ -24,7 +25,6 @@ use device::session::{Credentials, SessionSource, with_session};
 use device::socket_can::CanBus;
 use device::socketcand::client::RemoteBus;
 use device::source::Source;
-use device::state::GripperState;
 use device::virtual_board::Unplug;
 use device::virtual_board::world::SensorInput;
 use device_run::networks::NetworkSet;
@@ -135,7 +135,7 @@ impl PortArgs {
         arguments
     }
 
-    /// Does some work in a session with the gripper; states that it is unprotected if it is.
+    /// Does some work in a session with the gripper.
     ///
     /// # Errors
     /// As [`with_session`].
@@ -144,15 +144,7 @@ impl PortArgs {
         source: &mut dyn Source,
         work: impl FnOnce(&mut SessionSource<'_>) -> Result<T>,
     ) -> Result<T> {
-        let credentials = self.credentials()?;
-        let name = source.name();
-        with_session(source, credentials, |session| {
-            // A gripper with a key would have refused.
-            if credentials.key == Key::NONE {
-                print_unprotected(&name);
-            }
-            work(session)
-        })
+        with_session(source, self.credentials()?, work)
     }
 
     /// True if a port or bus is given.
@@ -238,7 +230,9 @@ impl GripperArgs {
 
     #[cfg(not(unix))]
     fn virtual_board(&self) -> Result<Box<dyn Source + Send>> {
-        bail!("--virtual needs pseudo-terminals, which this system does not have; use --port")
+        anyhow::bail!(
+            "--virtual needs pseudo-terminals, which this system does not have; use --port"
+        )
     }
 
     #[cfg(unix)]
@@ -281,7 +275,7 @@ pub fn default_virtual_board() -> Result<Box<dyn Source + Send>> {
 /// Always.
 #[cfg(not(unix))]
 pub fn default_virtual_board() -> Result<Box<dyn Source + Send>> {
-    bail!("--virtual needs pseudo-terminals, which this system does not have; use --port")
+    anyhow::bail!("--virtual needs pseudo-terminals, which this system does not have; use --port")
 }
 
 /// Campaign of four sensors in the source tree of this build.
@@ -309,23 +303,21 @@ pub fn print_unprotected(name: &str) {
     );
 }
 
-/// Fails if the gripper has another major protocol version: its messages would be misinterpreted.
-pub fn check_protocol(state: &GripperState) -> Result<()> {
-    let version = state.version.map(|version| version.protocol_major);
-    match version.or(state.heartbeat.map(|beat| beat.value.protocol_major)) {
-        Some(major) if major != PROTOCOL_VERSION.0 => bail!(
-            "the gripper uses protocol version {major}, this tool {}: use the tool version of its firmware",
-            PROTOCOL_VERSION.0
-        ),
-        _ => Ok(()),
-    }
-}
-
 /// A flag that is set by Ctrl-C (SIGINT) or SIGTERM.
 pub fn interrupted() -> Result<Arc<AtomicBool>> {
     let flag = Arc::new(AtomicBool::new(false));
     for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
         signal_hook::flag::register(signal, flag.clone())
+            .context("cannot install the handler for Ctrl-C")?;
+    }
+    Ok(flag)
+}
+
+/// A flag after which Ctrl-C or SIGTERM ends the process.
+pub fn end_on_interrupt() -> Result<Arc<AtomicBool>> {
+    let flag = Arc::new(AtomicBool::new(false));
+    for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
+        signal_hook::flag::register_conditional_shutdown(signal, INTERRUPTED, flag.clone())
             .context("cannot install the handler for Ctrl-C")?;
     }
     Ok(flag)

@@ -6,10 +6,12 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use device::format::{fault_name, state_name};
-use firmware::grip::commands::mode;
+use firmware::grip::commands::{flag, mode};
 use firmware::grip::states::{PowerState, TaskState, state_code};
+use firmware::parameters;
 use firmware::protocol::layout::{Direction, MessageLayout, SignalLayout};
 use firmware::protocol::messages::LAYOUTS;
+use firmware::protocol::session::{op, status};
 use firmware::protocol::{DEFAULT_NODE, PROTOCOL_VERSION, frame_id};
 use firmware::system::faults::Fault;
 use model_export::output::{check_output, write_output};
@@ -78,8 +80,8 @@ pub fn dbc(node: u16) -> String {
         }
         for (signal, select, field) in signals(layout) {
             let _ = writeln!(text, " SG_ {signal}{select} : {} {receiver}", signal_format(field));
-            let _ =
-                writeln!(comments, "CM_ SG_ {id} {signal} \"{}\";", one_line(field.description));
+            let comment = one_line(&comment(layout.name, field));
+            let _ = writeln!(comments, "CM_ SG_ {id} {signal} \"{comment}\";");
             let names = value_names(layout.name, field.name);
             if !names.is_empty() {
                 let names = names.iter().map(|(value, name)| format!(" {value} \"{name}\""));
@@ -90,9 +92,88 @@ pub fn dbc(node: u16) -> String {
     text + &comments + &periods + &values
 }
 
+/// Description of a signal; of one with a bit for each fault or flag, with their order.
+fn comment(message: &str, field: &SignalLayout) -> String {
+    let bits = match (message, field.name) {
+        ("Heartbeat", "faults") => {
+            let bits = Fault::ALL.iter().enumerate();
+            let bits = bits.map(|(bit, fault)| format!("{bit} {}", fault_name(*fault)));
+            format!("Bits: {}.", bits.collect::<Vec<_>>().join(", "))
+        }
+        ("Command", "flags") => format!(
+            "Bits: {:#04x} move without believed forces (uncalibrated); of a grip, {:#04x} profile (0 normal, 1 fragile, 2 \
+             strong), {:#04x} width window (n: 2^(n-1) mm on either side of the position), {:#04x} fast until close to the \
+             window; {:#04x} ground contact on a line; {:#04x} toggled to execute a repeated command again.",
+            flag::UNCALIBRATED,
+            flag::PROFILE,
+            flag::WINDOW,
+            flag::FAST,
+            flag::LINE,
+            flag::AGAIN
+        ),
+        _ => String::new(),
+    };
+    format!("{} {bits}", field.description)
+}
+
+/// Names of constants with these values.
+fn named<const N: usize>(names: [(u8, &str); N]) -> Vec<(u16, String)> {
+    names.map(|(value, name)| (value.into(), name.to_owned())).into()
+}
+
 /// Names of a signal's values; empty for a number.
 fn value_names(message: &str, signal: &str) -> Vec<(u16, String)> {
     match (message, signal) {
+        ("Service" | "ServiceReply", "op") => named([
+            (op::CLEAR_FAULTS, "clear faults"),
+            (op::TARE, "tare"),
+            (op::SAVE, "save"),
+            (op::REBOOT, "reboot"),
+            (op::ARM, "arm"),
+            (op::VERSION, "version"),
+            (op::COMMAND, "refused command"),
+            (op::MEASURE, "measure"),
+            (op::UPLOAD, "upload"),
+            (op::FINISH_UPLOAD, "finish upload"),
+            (op::DESCRIPTION, "description"),
+            (op::END, "end session"),
+            (op::OPEN, "open session"),
+            (op::WRITE_KEY, "write key"),
+            (op::ERASE_KEY, "erase key"),
+            (op::RENEW, "renew session"),
+        ]),
+        ("ServiceReply", "status") => named([
+            (status::DONE, "done"),
+            (status::CHALLENGE, "challenge"),
+            (status::REFUSED, "refused"),
+            (status::FAULTY, "prevented by a fault"),
+            (status::ARMED, "armed"),
+            (status::FAILED, "failed"),
+            (status::UNKNOWN, "unknown operation"),
+            (status::GRIPPING, "gripping"),
+            (status::UNAUTHENTICATED, "unauthenticated"),
+            (status::NOT_PRESENT, "not present"),
+        ]),
+        ("ParamRequest" | "ParamReply", "op") => {
+            named([(parameters::op::READ, "read"), (parameters::op::WRITE, "write")])
+        }
+        ("ParamReply", "status") => named([
+            (parameters::status::DONE, "done"),
+            (parameters::status::UNKNOWN, "unknown parameter"),
+            (parameters::status::OUT_OF_RANGE, "out of range"),
+            (parameters::status::ARMED, "armed"),
+            (parameters::status::NO_SUCH_OP, "unknown operation"),
+            (parameters::status::READ_ONLY, "read only"),
+            (parameters::status::UNAUTHENTICATED, "unauthenticated"),
+        ]),
+        ("Heartbeat" | "GripStatus", "object") => named([
+            (0, "moving"),
+            (1, "contact while opening"),
+            (2, "contact while closing"),
+            (3, "at position"),
+        ]),
+        ("FaultEvent", "active") => named([(0, "cleared"), (1, "set")]),
+        ("Force", "model") => named([(0, "ideal model"), (1, "network")]),
         ("Heartbeat", "state") => {
             let powers = PowerState::ALL.iter().filter(|state| **state != PowerState::Enabled);
             let powers = powers.map(|power| *power as u8);
@@ -102,7 +183,7 @@ fn value_names(message: &str, signal: &str) -> Vec<(u16, String)> {
         ("FaultEvent", "code") => {
             Fault::ALL.iter().map(|fault| (*fault as u16, fault_name(*fault))).collect()
         }
-        ("Command", "mode") => [
+        ("Command", "mode") => named([
             (mode::DISABLE, "disable"),
             (mode::ENABLE, "enable"),
             (mode::HOME, "home"),
@@ -112,9 +193,7 @@ fn value_names(message: &str, signal: &str) -> Vec<(u16, String)> {
             (mode::STOP, "stop"),
             (mode::FOOT, "foot"),
             (mode::LEAVE, "leave foot"),
-        ]
-        .map(|(mode, name)| (mode.into(), name.to_owned()))
-        .into(),
+        ]),
         _ => Vec::new(),
     }
 }

@@ -39,6 +39,7 @@ use std::sync::atomic::AtomicBool;
 use analysis::notes::{ErrorWithNotes, Note};
 use anyhow::Context;
 use clap::{CommandFactory, Parser, Subcommand};
+use device::control::result_code::ResultCode;
 use firmware::sensors::hall::SENSORS;
 use model_export::inverse::build::{DeviceModel, ExportHeader};
 use signal_hook::consts::SIGINT;
@@ -139,13 +140,13 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
                 print_notes(&error.notes);
             }
             eprintln!("magpie: {error:#}");
-            ExitCode::FAILURE
+            ExitCode::from(ResultCode::of(&error).status())
         }
     }
 }
 
 /// Exit status of a process that Ctrl-C ended.
-const INTERRUPTED: i32 = 130;
+const INTERRUPTED: i32 = ResultCode::Interrupted.status() as i32;
 
 /// A flag that the first Ctrl-C sets; the second ends the process.
 fn first_interrupt() -> anyhow::Result<Arc<AtomicBool>> {

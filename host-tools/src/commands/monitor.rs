@@ -6,16 +6,16 @@ use std::sync::atomic::Ordering::Relaxed;
 use std::sync::mpsc::RecvTimeoutError;
 use std::time::Duration;
 
-use anyhow::{Result, bail};
+use anyhow::Result;
 use firmware::protocol::session::op;
 use ratatui::DefaultTerminal;
 use ratatui::crossterm::event::{self, Event, KeyCode, KeyModifiers};
 
-use crate::commands::connection::{
-    GripperArgs, check_protocol, interrupted, parse_seconds, print_unprotected,
-};
+use crate::commands::connection::{GripperArgs, interrupted, parse_seconds, print_unprotected};
 use device::foxglove::FoxgloveServer;
 use device::reader::{ReaderEvent, SourceReader};
+use device::session::check_protocol;
+use device::source::{ConnectionLost, SILENCE};
 use device::state::GripperState;
 use device::{format, view};
 use firmware::protocol::host_session::service;
@@ -87,18 +87,20 @@ pub fn run(args: &Args) -> Result<()> {
             })
         }
     };
+    let ended_s = hearing.elapsed_s();
     hearing.stop()?;
     let state = result?;
     if state.received_s.is_none() {
-        bail!(
-            "{name}: nothing was received; is it this line or bus, is the board powered, and does its firmware run?"
-        );
+        return Err(ConnectionLost::unreachable(&name).into());
     }
     if state.is_unprotected() && !args.json {
         print_unprotected(&name);
     }
     if let Some(lost) = format::loss_line(&state) {
         eprintln!("lost: {lost}");
+    }
+    if state.received_s.is_some_and(|received_s| ended_s - received_s > SILENCE.as_secs_f64()) {
+        return Err(ConnectionLost::silent(&name).into());
     }
     Ok(())
 }

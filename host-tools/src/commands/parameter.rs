@@ -34,6 +34,9 @@ pub struct Args {
     json: bool,
 }
 
+/// In the description of parameters that are read at boot only.
+const AT_BOOT: &str = "takes effect at the next boot";
+
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
     let mut source = args.port.open_given()?;
@@ -45,6 +48,14 @@ pub fn run(args: &Args) -> Result<()> {
         && !parameter.range.contains(value)
     {
         bail!("{} {value}: possible is {}", parameter.name, range_text(&parameter.range));
+    }
+    if let (Some(_), false, Some(parameter)) = (args.value, args.save, shown.first())
+        && parameter.description.contains(AT_BOOT)
+    {
+        bail!(
+            "{}: a new value takes effect at the next boot, until which only --save keeps it: give --save",
+            parameter.name
+        );
     }
     if args.value.is_some() || args.save {
         args.port.in_session(source.as_mut(), |session| {

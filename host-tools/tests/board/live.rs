@@ -470,6 +470,30 @@ fn reference_on_a_socket_is_recorded_alongside() {
 }
 
 #[test]
+fn delay_of_an_unrelated_reference_is_not_applied() {
+    let dir = workdir();
+    // Loads of something else, while the virtual board grasps.
+    let (port, sender) = line_server(|row| {
+        let time_s = 0.01 * f64::from(row);
+        let load = |rad_s: f64| 10.0 * (rad_s * time_s).sin();
+        format!("{}; {}\n", 10 * row, load(3.1) + load(7.7) + load(17.3))
+    });
+    let mapping = "clock = { column = 1, unit = \"ms\" }\n\
+                   columns = [{ column = 2, unit = \"N\", to = \"f0_x_n\" }]\n";
+    std::fs::write(dir.path("map.toml"), mapping).unwrap();
+    let output = dir.run(&format!(
+        "record --virtual --model model.toml --seconds 6 -o bench --reference tcp:127.0.0.1:{port} --reference-map map.toml"
+    ));
+    sender.join().unwrap();
+    let text =
+        String::from_utf8_lossy(&output.stdout).split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(output.status.success(), "{text}");
+    assert!(text.contains("its delay cannot be determined, because"), "{text}");
+    assert!(text.contains("t_us of force.csv is that of arrival"), "{text}");
+    assert!(!text.contains("is corrected by it"), "{text}");
+}
+
+#[test]
 fn pose_of_the_host_is_recorded_as_covariates_of_the_board() {
     let dir = workdir();
     // Roll 30 degrees; a yaw of 0.5 rad/s; 2 m/s^2 along x.

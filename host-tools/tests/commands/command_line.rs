@@ -1,9 +1,13 @@
 //! The command line: exit codes, output formats, error messages, reproducibility.
 
+use std::collections::BTreeSet;
+
+use device::control::result_code::ResultCode;
 use serde_json::Value;
 use tests::campaign_copy::CampaignCopy;
 use tests::{data, real_data};
 
+use crate::generated_text::assert_generated;
 use crate::workdir::{WorkDir, campaign, text};
 
 #[test]
@@ -257,11 +261,8 @@ fn completions_and_manual_pages_cover_every_command() {
     }
 }
 
-/// `UPDATE_README=1 cargo test -p host-tools --test commands` rewrites the table.
 #[test]
 fn readme_lists_all_commands() {
-    let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("README.md");
-    let readme = std::fs::read_to_string(&path).unwrap();
     let mut table = String::from("| command | purpose |\n| --- | --- |\n");
     for command in host_tools::commands::parser().get_subcommands() {
         if !command.is_hide_set() {
@@ -269,16 +270,24 @@ fn readme_lists_all_commands() {
             table += &format!("| `cargo magpie {}` | {about} |\n", command.get_name());
         }
     }
-    let (before, rest) = readme.split_once("do not edit -->\n").unwrap();
-    let (_, after) = rest.split_once("<!-- end of commands").unwrap();
-    let expected = format!("{before}do not edit -->\n{table}<!-- end of commands{after}");
-    if std::env::var_os("UPDATE_README").is_some() {
-        std::fs::write(&path, &expected).unwrap();
+    assert_generated("host-tools/README.md", ["do not edit -->\n", "<!-- end of commands"], &table);
+}
+
+#[test]
+fn readme_and_help_list_all_results() {
+    let help = text(&WorkDir::empty().stdout(&["grasp", "--help"]));
+    let help = help.split_whitespace().collect::<Vec<_>>().join(" ");
+    let mut table = String::from("| status | code | meaning |\n| --- | --- | --- |\n");
+    let mut statuses = BTreeSet::new();
+    for code in ResultCode::ALL {
+        let (status, name, meaning) = (code.status(), code.name(), code.meaning());
+        table += &format!("| {status} | `{name}` | {meaning} |\n");
+        assert!(help.contains(&format!("{status} {name}: {meaning}")), "{name}: {help}");
+        // 2 is that of wrong arguments, 101 that of a panic.
+        assert!(statuses.insert(status) && ![2, 101].contains(&status), "{name}");
     }
-    assert!(
-        readme == expected || std::env::var_os("UPDATE_README").is_some(),
-        "run this test with UPDATE_README=1"
-    );
+    let marks = ["<!-- results -->\n", "<!-- end of results"];
+    assert_generated("host-tools/README.md", marks, &table);
 }
 
 #[test]

@@ -104,6 +104,42 @@ fn committed_dbc_equals_the_output_of_the_command() {
 }
 
 #[test]
+fn every_coded_signal_has_the_names_of_its_values() {
+    let file = Dbc::try_from(dbc(DEFAULT_NODE).as_str()).unwrap();
+    let names = |message: &str, signal: &str| -> Vec<(i64, String)> {
+        let id = file.messages.iter().find(|m| m.name == message).unwrap().id;
+        let found = file.value_descriptions.iter().find_map(|table| match table {
+            can_dbc::ValueDescription::Signal { message_id, name, value_descriptions }
+                if *message_id == id && name == signal =>
+            {
+                Some(value_descriptions)
+            }
+            _ => None,
+        });
+        let values = found.unwrap_or_else(|| panic!("{message} {signal}"));
+        values.iter().map(|value| (value.id, value.description.clone())).collect()
+    };
+    for (message, signal, value, name) in [
+        ("Heartbeat", "object", 2, "contact while closing"),
+        ("GripStatus", "object", 3, "at position"),
+        ("Heartbeat", "state", 23, "hold active"),
+        ("Service", "op", 5, "arm"),
+        ("ServiceReply", "op", 7, "refused command"),
+        ("ServiceReply", "status", 7, "gripping"),
+        ("ParamReply", "status", 3, "armed"),
+        ("FaultEvent", "code", 603, "stroke wrong"),
+        ("FaultEvent", "active", 1, "set"),
+    ] {
+        let names = names(message, signal);
+        assert!(names.contains(&(value, name.to_owned())), "{message} {signal}: {names:?}");
+    }
+    // The bits of the heartbeat are in the order of the faults.
+    let text = dbc(DEFAULT_NODE);
+    assert!(text.contains("Bits: 0 sensor lost, 1 sensor frozen,"), "{text}");
+    assert!(text.contains("31 power stage."), "{text}");
+}
+
+#[test]
 fn forces_of_the_third_sensor_are_read_in_newtons() {
     let estimate = Estimate {
         force: [Force(-(123 << 10)), Force(47 << 10)],

@@ -5,6 +5,7 @@ mod command_line;
 mod dbc;
 mod design;
 mod disturbance;
+mod generated_text;
 mod grasp;
 mod readme_tutorial;
 mod session_rules;

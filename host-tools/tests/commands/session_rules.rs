@@ -4,13 +4,10 @@ use std::fmt::Write;
 
 use firmware::protocol::rules::{Authority, RULES, RequestKind, Rule};
 
-/// `UPDATE_README=1 cargo test -p host-tools --test commands session_rules` rewrites the table.
+use crate::generated_text::assert_generated;
+
 #[test]
 fn security_page_lists_the_rules() {
-    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../firmware/SECURITY.md");
-    let page = std::fs::read_to_string(path).unwrap();
-    let (before, rest) = page.split_once("<!-- rules -->\n").unwrap();
-    let (_, after) = rest.split_once("<!-- end of rules -->").unwrap();
     let mut table =
         "| request | by | armed | calibrating | loaded | doubtful key |\n| --- | --- | --- | --- | --- | --- |\n"
             .to_owned();
@@ -22,14 +19,7 @@ fn security_page_lists_the_rules() {
         let (name, by) = (name(rule.kind), by(rule.authority));
         writeln!(table, "| {name} | {by} | {may} |").unwrap();
     }
-    let expected = format!("{before}<!-- rules -->\n{table}<!-- end of rules -->{after}");
-    if std::env::var_os("UPDATE_README").is_some() {
-        std::fs::write(path, &expected).unwrap();
-    }
-    assert!(
-        page == expected || std::env::var_os("UPDATE_README").is_some(),
-        "run this test with UPDATE_README=1"
-    );
+    assert_generated("firmware/SECURITY.md", ["<!-- rules -->\n", "<!-- end of rules -->"], &table);
 }
 
 /// Each property of the page has a test: a function, a trial of the emulated chip, or a scenario.

@@ -249,7 +249,7 @@ pub fn record(
     let counts = recorder.finish()?;
     let alignment = align_recording(folder)?;
     ensure!(
-        counts.lost == 0 && counts.left_out == 0 && alignment.is_applied,
+        counts.lost == 0 && counts.left_out == 0 && alignment.doubt.is_none(),
         "{counts:?} {alignment:?}: {}",
         bench.report()
     );

@@ -90,6 +90,8 @@ pub struct Emulation {
     pub dropped_frames: u64,
     /// Fault events with their time in microseconds.
     pub faults: Vec<(u64, FaultEvent)>,
+    /// Time at which the object is taken away for good.
+    pub remove_object_at: Option<Time>,
     gripper: SharedGripper,
     /// Object placed after homing, since homing measures the stroke.
     object: Option<Object>,
@@ -117,6 +119,7 @@ impl Emulation {
             worst_tick_us: 0,
             dropped_frames: 0,
             faults: Vec::new(),
+            remove_object_at: None,
             gripper,
             object,
             is_placed: false,
@@ -159,6 +162,7 @@ impl Emulation {
         self.end += STEP;
         let halted = self.board.run_until(self.end.us());
         let mut notices: Vec<_> = self.resets().collect();
+        notices.extend(self.remove_object());
         notices.extend(self.board.chip.take_log().into_iter().map(Notice::Log));
         self.exchange_bytes()?;
         self.exchange_frames(&mut notices)?;
@@ -224,6 +228,14 @@ impl Emulation {
         Ok(())
     }
 
+    /// Takes the object away at its time.
+    fn remove_object(&mut self) -> Option<Notice> {
+        self.remove_object_at.take_if(|at| *at <= self.end)?;
+        let object = self.object.take()?;
+        self.gripper.borrow_mut().rig.plant.set_object(None);
+        Some(removal(&object))
+    }
+
     /// Places the object between the fingers of a homed gripper and removes it before homing.
     fn place(&mut self, state: u8) -> Option<Notice> {
         let object = self.object.as_ref()?;
@@ -239,10 +251,14 @@ impl Emulation {
         plant.set_object(is_homed.then_some(object));
         self.is_placed = is_homed;
         let width_mm = 1e3 * object.width_m;
-        Some(Notice::Port(if is_homed {
-            format!("an object of {width_mm} mm is between the fingers")
+        Some(if is_homed {
+            Notice::Port(format!("an object of {width_mm} mm is between the fingers"))
         } else {
-            format!("the object of {width_mm} mm is taken away")
-        }))
+            removal(object)
+        })
     }
+}
+
+fn removal(object: &Object) -> Notice {
+    Notice::Port(format!("the object of {} mm is taken away", 1e3 * object.width_m))
 }

@@ -12,7 +12,7 @@ use firmware::protocol::messages::Message;
 use firmware::protocol::serial::Packet;
 
 use crate::socketcand::{Element, Elements};
-use crate::source::{Source, WAIT, packet};
+use crate::source::{ConnectionLost, Source, WAIT, packet};
 
 /// Timeout of each step of the connection.
 const ANSWER: Duration = Duration::from_secs(5);
@@ -65,7 +65,8 @@ impl RemoteBus {
         let begun = Instant::now();
         while begun.elapsed() < ANSWER {
             let mut elements = Vec::new();
-            let goes_on = self.read(&mut elements)?;
+            // A server of another protocol may close the connection.
+            let is_closed = self.read(&mut elements).is_err();
             if let Some(place) = elements.iter().position(|element| element == answer) {
                 self.early.extend(elements.split_off(place + 1));
                 return Ok(());
@@ -73,7 +74,7 @@ impl RemoteBus {
             if let Some(Element::Error(reason)) = elements.first() {
                 bail!("{}: the bus cannot be opened: {reason}", self.address);
             }
-            if !goes_on {
+            if is_closed {
                 break;
             }
         }
@@ -83,16 +84,15 @@ impl RemoteBus {
         )
     }
 
-    /// Appends received elements; false after the server has closed the connection.
-    fn read(&mut self, elements: &mut Vec<Element>) -> Result<bool> {
+    /// Appends received elements.
+    fn read(&mut self, elements: &mut Vec<Element>) -> Result<(), ConnectionLost> {
         elements.append(&mut self.early);
         let mut bytes = [0; 4096];
         let count = match self.stream.read(&mut bytes) {
-            Ok(0) => return Ok(false),
+            Ok(0) => return Err(self.gone(&ErrorKind::UnexpectedEof.into())),
             Ok(count) => count,
             Err(error) => match error.kind() {
                 ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted => 0,
-                ErrorKind::ConnectionReset => return Ok(false),
                 _ => return Err(self.gone(&error)),
             },
         };
@@ -103,23 +103,23 @@ impl RemoteBus {
                 None => {}
             }
         }
-        Ok(true)
+        Ok(())
     }
 
-    fn put(&mut self, element: &Element) -> Result<()> {
+    fn put(&mut self, element: &Element) -> Result<(), ConnectionLost> {
         let written = self.stream.write_all(element.to_string().as_bytes());
         written.map_err(|error| self.gone(&error))
     }
 
-    fn gone(&self, error: &std::io::Error) -> anyhow::Error {
-        anyhow!("{}: connection lost ({error}); is the server still running?", self.address)
+    fn gone(&self, error: &std::io::Error) -> ConnectionLost {
+        ConnectionLost(format!("{}: {error}; is the server still running?", self.address))
     }
 }
 
 impl Source for RemoteBus {
     fn receive(&mut self, packets: &mut Vec<Packet>) -> Result<bool> {
         let mut elements = Vec::new();
-        let goes_on = self.read(&mut elements)?;
+        self.read(&mut elements)?;
         for element in elements {
             match element {
                 Element::Frame(frame, _) => {
@@ -129,12 +129,12 @@ impl Source for RemoteBus {
                 _ => {}
             }
         }
-        Ok(goes_on)
+        Ok(true)
     }
 
     fn send(&mut self, message: Message) -> Result<()> {
         let id = frame_id(self.node, message.number());
-        self.put(&Element::Send(CanFrame::from_bytes(id, message.to_bytes())))
+        Ok(self.put(&Element::Send(CanFrame::from_bytes(id, message.to_bytes())))?)
     }
 
     fn broken(&self) -> u32 {
@@ -175,7 +175,7 @@ mod tests {
         let mut bus = RemoteBus::open(&address, DEFAULT_NODE).unwrap();
         let mut packets = Vec::new();
         while packets.is_empty() {
-            assert!(bus.receive(&mut packets).unwrap());
+            bus.receive(&mut packets).unwrap();
         }
         let Packet::Message { message: Message::Heartbeat(beat), .. } = packets[0] else {
             panic!("{packets:?}");
@@ -185,7 +185,12 @@ mod tests {
         bus.send(message).unwrap();
         let frame = serving.join().unwrap();
         assert_eq!(frame, CanFrame::from_bytes(frame_id(DEFAULT_NODE, 4), message.to_bytes()));
-        while bus.receive(&mut packets).unwrap() {}
+        let lost = loop {
+            if let Err(error) = bus.receive(&mut packets) {
+                break error;
+            }
+        };
+        assert!(lost.is::<ConnectionLost>(), "{lost}");
     }
 
     #[test]

@@ -5,7 +5,7 @@ use firmware::config::constants::TICK_US;
 use firmware::estimator::Validity;
 use firmware::fixed_point::Force;
 use firmware::protocol::force_newtons;
-use firmware::protocol::layout::decode;
+use firmware::protocol::layout::{Direction, decode};
 use firmware::protocol::messages::{
     self, FaultEvent, GripStatus, Heartbeat, Message, Power, Timing, Version,
 };
@@ -125,6 +125,11 @@ pub struct GripperState {
 impl GripperState {
     /// Updates the state with a packet received `at_s` seconds after the start.
     pub fn update(&mut self, at_s: f64, packet: &Packet) {
+        // Hosts on the same bus are not the gripper.
+        if matches!(packet, Packet::Message { message, .. } if message.direction() == Direction::In)
+        {
+            return;
+        }
         self.received_s = Some(at_s);
         match packet {
             Packet::Tick(tick) => self.tick(at_s, tick),

@@ -137,3 +137,15 @@ fn clock_that_repeats_or_decreases_is_a_restart() {
     clock.extend(3_000_000_000, 10.0);
     assert_eq!(clock.extend(2_000, 12.0), None);
 }
+
+#[test]
+fn messages_of_other_hosts_are_ignored() {
+    let mut state = GripperState::default();
+    state.update(1.0, &message(Message::Heartbeat(Heartbeat::default())));
+    for counter in [5, 9] {
+        let code = messages::Authentication { counter, ..messages::Authentication::default() };
+        state.update(2.0, &message(Message::Authentication(code)));
+        state.update(3.0, &message(Message::Command(messages::Command::default())));
+    }
+    assert_eq!((state.received_s, state.lost.messages), (Some(1.0), 0));
+}

@@ -10,7 +10,8 @@ use ratatui::text::{Line, Span};
 use ratatui::widgets::{Axis, Block, Cell, Chart, Dataset, GraphType, Paragraph, Row, Table, Wrap};
 
 use crate::format::{
-    covariates_line, degrees, fault_line, loss_line, power_line, state_name, validity_name,
+    GripValues, covariates_line, degrees, fault_line, loss_line, power_line, state_name,
+    validity_name,
 };
 use crate::state::{GripperState, HISTORY_S, SensorState};
 
@@ -43,6 +44,8 @@ fn heading(name: &str, state: &GripperState, now_s: f64) -> Paragraph<'static> {
         Some(received_s) if now_s - received_s > SILENT_S => {
             format!("silent for {:.1} s", now_s - received_s).bold().red()
         }
+        // Only the serial line carries ticks.
+        Some(_) if state.board_us.is_none() => "".into(),
         Some(_) => format!("{} ticks/s", state.ticks_hz).into(),
     };
     let name = name.to_owned().bold();
@@ -70,8 +73,8 @@ fn heading(name: &str, state: &GripperState, now_s: f64) -> Paragraph<'static> {
     if state.is_unprotected() {
         about.push(", unprotected: no key".yellow());
     }
-    let covariates =
-        state.covariates.map_or_else(String::new, |latest| covariates_line(&latest.value));
+    let grip = state.grip.map_or_else(String::new, |latest| GripValues::of(&latest.value).line());
+    let covariates = state.covariates.map_or(grip, |latest| covariates_line(&latest.value));
     Paragraph::new(vec![first, Line::from(about), Line::from(covariates)])
 }
 
@@ -211,8 +214,10 @@ fn load(state: &GripperState) -> Paragraph<'static> {
         ],
     };
     lines.extend(state.power.map(|latest| Line::from(power_line(&latest.value))));
-    let ticks = f64::from(state.ticks_hz) / SENSE_RATE.value;
-    lines.push(Line::from(format!("{:.0} % of the ticks arrive here", 100.0 * ticks)));
+    if state.board_us.is_some() {
+        let ticks = f64::from(state.ticks_hz) / SENSE_RATE.value;
+        lines.push(Line::from(format!("{:.0} % of the ticks arrive here", 100.0 * ticks)));
+    }
     lines.push(match loss_line(state) {
         Some(loss_line) => Line::from(format!("lost: {loss_line}")).yellow(),
         None => Line::from("nothing lost"),

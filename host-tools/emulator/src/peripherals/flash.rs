@@ -14,9 +14,11 @@ registers! { "FLASH":
 
 /// Where the program sees it.
 pub const BASE: u32 = 0x0800_0000;
-/// Bytes of the memory, of a bank, of a page, of a double word.
+/// Bytes of the memory.
 pub const SIZE: usize = 512 * 1024;
-const BANK: usize = SIZE / 2;
+/// Bytes of a bank.
+pub const BANK: usize = SIZE / 2;
+// Bytes of a page, of a double word.
 const PAGE: usize = 2048;
 const WORD: usize = 8;
 /// Programming a double word and erasing a page, typical (datasheet DS12288 table 52).

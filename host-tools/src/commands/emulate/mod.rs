@@ -41,9 +41,15 @@ pub struct Args {
     /// Width of an object, inserted as soon as the gripper is homed and sufficiently open.
     #[arg(long, value_name = "MM", value_parser = parse_opening)]
     object: Option<f64>,
+    /// Take the object away at this virtual time.
+    #[arg(long, value_name = "S", requires = "object", value_parser = parse_seconds)]
+    remove_object: Option<f64>,
     /// Contact stiffness including the flexures: 333 is steel, 50 rubber, 5 foam.
     #[arg(long, value_name = "N_MM", default_value_t = 333.0, requires = "object", value_parser = parse_stiffness)]
     stiffness: f64,
+    /// File with the settings of the board (parameters, key, calibrations): read at power-on if it exists, written at the end.
+    #[arg(long, value_name = "FILE")]
+    flash: Option<PathBuf>,
     /// Recording that replaces the simulated sensor readings; the emulation ends with it.
     #[arg(long, value_name = "RECORDING", requires = "model", conflicts_with_all = ["opening", "object"])]
     replay: Option<PathBuf>,

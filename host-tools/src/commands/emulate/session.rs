@@ -2,14 +2,17 @@
 
 use analysis::progress;
 use std::cell::RefCell;
+use std::path::Path;
 use std::rc::Rc;
 use std::sync::atomic::Ordering::Relaxed;
 
 use anyhow::{Context, Result};
+use emulator::peripherals::flash;
 use emulator::{Image, Time};
 use indicatif::ProgressBar;
 use model_export::input;
 use model_export::inverse::build::{ModelVariant, build};
+use model_export::output::{check_output, write_output};
 
 use crate::commands::connection::interrupted;
 use crate::commands::emulate::text::{End, Setup, format_fault, format_reset};
@@ -29,6 +32,8 @@ use sim::closed_loop::motor_rig::MotorRig;
 use sim::drivetrain::fingertips::Fingertips;
 use sim::drivetrain::parameters::{Lead, PlantParameters};
 
+/// First bytes of a file with the settings of a board, bank 2 of its flash.
+const FLASH_MARK: &str = "MAGPIE emulated flash, bank 2\n";
 /// Sampling period of the program counter, no divisor of the task periods.
 const SAMPLE_PERIOD: Time = Time::from_ns(7_411);
 /// Update period of the progress line in real seconds.
@@ -44,28 +49,56 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let image = Image::parse(input::read_bytes(&path, input::MAX_IMAGE_BYTES)?, &path)?;
     let length = image.length();
     let gripper = gripper(args);
-    let board =
+    let mut board =
         EmulatedBoard::start(image, conditions(args), world(args, &gripper)?, gripper.clone())?;
+    if let Some(path) = &args.flash {
+        load_flash(&mut board, path)?;
+    }
     let (can, can_name) = can(args)?;
     let pty = Pty::open().context("no pseudo-terminal available for the serial line")?;
     let parameters = PlantParameters::nominal(Lead::A);
     let object = args.object.map(|width_mm| contact_object(&parameters, width_mm, args.stiffness));
     let mut emulation = Emulation::new(board, gripper, object, pty, can);
+    emulation.remove_object_at = args.remove_object.map(time);
     let setup = Setup { path, length, serial: emulation.serial().to_owned(), can: can_name };
     announce(&setup, args);
     emulation.board.chip.sample_every(SAMPLE_PERIOD);
     let mut pace = Pace::new(args.speed.0);
     let end = run_until_end(args, &mut emulation, &mut pace)?;
+    let saved = args.flash.as_deref().map_or(Ok(()), |path| save_flash(&emulation.board, path));
     let output = if args.json {
         format!("{}\n", text::to_json(&setup, args, &mut emulation, &pace, &end))
     } else {
         text::format_report(args, &mut emulation, &pace, &end)
     };
     terminal::print(&output)?;
+    saved?;
     match end {
         End::Failed(error) => Err(error),
         _ => Ok(()),
     }
+}
+
+/// Settings from an earlier emulation.
+fn load_flash(board: &mut EmulatedBoard, path: &Path) -> Result<()> {
+    check_output(path, FLASH_MARK)?;
+    if !path.exists() {
+        return Ok(());
+    }
+    let bytes = input::read_bytes(path, input::MAX_IMAGE_BYTES)?;
+    let bank = bytes.strip_prefix(FLASH_MARK.as_bytes()).filter(|bank| bank.len() == flash::BANK);
+    let bank = bank.with_context(|| {
+        format!("{}: not the settings of an emulated board; give another file", path.display())
+    })?;
+    board.chip.soc.load_flash(flash::BANK, bank);
+    Ok(())
+}
+
+fn save_flash(board: &EmulatedBoard, path: &Path) -> Result<()> {
+    let bank = board.chip.soc.memory(flash::BASE + flash::BANK as u32, flash::BANK);
+    let bank = bank.context("the chip has no second bank")?;
+    write_output(path, &[FLASH_MARK.as_bytes(), bank].concat(), FLASH_MARK)?;
+    Ok(())
 }
 
 const fn conditions(args: &Args) -> ChipConditions {
@@ -106,6 +139,10 @@ fn can(args: &Args) -> Result<(CanPort, String)> {
     }
 }
 
+fn time(seconds: f64) -> Time {
+    Time::from_us((1e6 * seconds) as u64)
+}
+
 fn announce(setup: &Setup, args: &Args) {
     let protocol = if args.can.is_some() { "interface" } else { "TCP, socketcand protocol" };
     eprintln!("image: {} ({} bytes of flash)", setup.path.display(), setup.length);
@@ -116,7 +153,7 @@ fn announce(setup: &Setup, args: &Args) {
 fn run_until_end(args: &Args, emulation: &mut Emulation, pace: &mut Pace) -> Result<End> {
     let interrupted = interrupted()?;
     let bar = progress::status_spinner("emulating");
-    let end = args.seconds.map_or(Time::NEVER, |seconds| Time::from_us((1e6 * seconds) as u64));
+    let end = args.seconds.map_or(Time::NEVER, time);
     let mut status = StatusLine::default();
     let reason = loop {
         if emulation.now() >= end {

@@ -3,7 +3,7 @@
 use analysis::numbers;
 use analysis::progress;
 use anyhow::{Result, bail};
-use firmware::grip::commands::GripProfile;
+use device::control::check_force;
 
 use crate::commands::grasp::{Args, ObjectStiffness, OtherController};
 use report::html::grasp as page;
@@ -15,8 +15,6 @@ use sim::closed_loop::motor_rig::DriveCase;
 
 /// Hold time in seconds.
 const HOLD_S: f64 = 0.5;
-/// Minimum grasp force in N.
-const MIN_FORCE_N: f64 = 5.0;
 /// Initial distance to the object in mm.
 const APPROACH_MM: f64 = 2.0;
 /// The same for the current-limited grasp, which accelerates to full speed.
@@ -31,15 +29,6 @@ impl ObjectStiffness {
             Self::Soft => 5.0,
         }
     }
-}
-
-/// Checks the range of a grasp force.
-pub(super) fn check_force(set_n: f64) -> Result<()> {
-    let max_n = f64::from(GripProfile::Strong.max_n());
-    if !(MIN_FORCE_N..=max_n).contains(&set_n) {
-        bail!("--force {set_n:?} is not possible here; give {MIN_FORCE_N} to {max_n} N");
-    }
-    Ok(())
 }
 
 pub(super) fn grasp(args: &Args, case: DriveCase, set_n: f64) -> Result<()> {

@@ -40,7 +40,7 @@ use device::reference::{
     HostPose, MAX_WAITING_ROWS, ReferenceClock, ReferenceMapping, ReferenceReader,
 };
 use device::session::{Credentials, with_session};
-use device::source::Source;
+use device::source::{ConnectionLost, SILENCE, Source};
 use guide::{Guide, StepResult};
 use report::text::terminal;
 use sim::campaign::plan::RecordingPlan;
@@ -156,6 +156,7 @@ pub fn run(args: &Args) -> Result<()> {
     }
     let credentials = args.gripper.credentials()?;
     let previous = enable_readings(source.as_mut(), args, credentials)?;
+    let name = source.name();
     let hearing = SourceReader::start(source);
     let reference = reference
         .map(|Reference { source, mapping, .. }| {
@@ -165,6 +166,7 @@ pub fn run(args: &Args) -> Result<()> {
     let coverage =
         Coverage::new(force_range_n.unwrap_or(constants::FORCE_RANGE.value), forces.clone());
     let mut progress = RecordingProgress {
+        name,
         guide: plan.map(|plan| Guide::new(plan, coverage.clone())),
         coverage,
         forces,
@@ -198,6 +200,7 @@ pub fn run(args: &Args) -> Result<()> {
         check: check.as_ref(),
         is_on_bus: args.gripper.is_on_bus(),
         is_virtual: args.gripper.is_virtual(),
+        is_cut: ended.as_ref().is_err_and(|error| error.is::<ConnectionLost>()),
     };
     terminal::print_result(args.json, || summary.to_json(), || summary.format())?;
     ended.and(failed)
@@ -226,6 +229,8 @@ struct Summary<'a> {
     /// Which has no covariates, as a virtual board.
     is_on_bus: bool,
     is_virtual: bool,
+    /// The connection was lost, which ended the recording.
+    is_cut: bool,
 }
 
 /// Covered ranges, and the effects on which the recording can decide.
@@ -259,6 +264,8 @@ fn coverage_line(ranges: &[CoveredRange]) -> String {
 
 /// What is known while recording.
 struct RecordingProgress {
+    /// Name of the line or bus.
+    name: String,
     coverage: Coverage,
     /// Forces of the reference, in the order of its rows.
     forces: Vec<(u32, Axis)>,
@@ -373,7 +380,7 @@ fn write_rows(
     if let Some(guide) = &recorded.guide {
         spinner.suspend(|| eprintln!("{}", guide.instruction()));
     }
-    let mut shown = Instant::now();
+    let (mut shown, mut received_s) = (Instant::now(), 0.0);
     let ended = loop {
         if (args.check || recorded.guide.is_some()) && shown.elapsed() >= COVERAGE_PERIOD {
             shown = Instant::now();
@@ -419,7 +426,11 @@ fn write_rows(
                         "the board restarted, which ends the recording; record again to another folder"
                     ));
                 }
-                if packets.is_empty() {
+                if !packets.is_empty() {
+                    received_s = at_s;
+                } else if at_s > received_s + SILENCE.as_secs_f64() {
+                    break Err(ConnectionLost::silent(&recorded.name).into());
+                } else {
                     recorder.flush()?;
                 }
             }

@@ -10,8 +10,18 @@ use super::{CheckResult, ReferenceAlignment, StepResult, Summary};
 impl Summary<'_> {
     /// As text.
     pub(super) fn format(&self) -> String {
-        let Self { output, start_s, tally, alignment, steps, poses, check, is_on_bus, is_virtual } =
-            *self;
+        let Self {
+            output,
+            start_s,
+            tally,
+            alignment,
+            steps,
+            poses,
+            check,
+            is_on_bus,
+            is_virtual,
+            is_cut,
+        } = *self;
         let seconds = |us: u64| us as f64 * 1e-6;
         let numbers = |sensors: &[usize]| {
             let numbers: Vec<String> = sensors.iter().map(usize::to_string).collect();
@@ -26,6 +36,7 @@ impl Summary<'_> {
             numbers::decimal(start_s, 3),
         );
         match tally.gaps {
+            0 if is_cut => text += "No rows lost before the connection was lost.\n",
             0 => text += "No rows lost.\n",
             gaps => {
                 let gaps = if gaps == 1 { "1 gap".to_owned() } else { format!("{gaps} gaps") };
@@ -77,15 +88,16 @@ impl Summary<'_> {
         None => "force.csv has times but no forces: replace it by the reference's table (t_us from the same start) before \
                  fit, compare and replay."
             .to_owned(),
-        Some(ReferenceAlignment { delay: None, .. }) => format!(
-            "Reference: {} rows; its delay cannot be determined, because its forces hardly vary: t_us is that of arrival.",
-            tally.reference_rows
+        Some(ReferenceAlignment { doubt: Some(doubt), .. }) => format!(
+            "Reference: {} rows; its delay cannot be determined, because {}. t_us of force.csv is that of arrival.",
+            tally.reference_rows,
+            doubt.text()
         ),
-        Some(ReferenceAlignment { delay: Some(delay), is_applied }) => {
+        Some(ReferenceAlignment { delay, doubt: None }) => delay.map_or_else(String::new, |delay| {
             let [low_ms, high_ms] = delay.interval_s.map(|s| 1e3 * s);
             format!(
                 "Reference: {} rows; delay {:.2} ms, standard error {:.2} ms, 95 % from {low_ms:.2} to {high_ms:.2} ms; the \
-                 fields explain {:.1} % of its variance. {}{}",
+                 fields explain {:.1} % of its variance. {}t_us of force.csv is corrected by it.",
                 tally.reference_rows,
                 1e3 * delay.delay_s,
                 1e3 * delay.standard_error_s,
@@ -97,14 +109,9 @@ impl Summary<'_> {
                         if x_s > z_s { "lateral" } else { "longitudinal" },
                         1e3 * x_s.max(z_s)
                     ),
-                },
-                if *is_applied {
-                    "t_us of force.csv is corrected by it."
-                } else {
-                    "That is not precise enough: t_us is that of arrival. Vary the loads faster, or tap."
                 }
             )
-        }
+        }),
     });
         if let Some(poses) = poses {
             text += &terminal::paragraph(&match tally.covariates.contains(&"yaw_rad") {
@@ -128,6 +135,7 @@ impl Summary<'_> {
             "rows": tally.rows,
             "lost_rows": tally.lost,
             "gaps": tally.gaps,
+            "connection_lost": self.is_cut,
             "longest_gap_s": tally.longest_us.0 as f64 * 1e-6,
             "longest_gap_at_s": tally.longest_us.1 as f64 * 1e-6,
             "covariates": tally.covariates,
@@ -140,7 +148,8 @@ impl Summary<'_> {
             "check": check.map(check_json),
             "reference_rows": tally.reference_rows,
             "reference_delay": alignment.and_then(|alignment| alignment.delay),
-            "reference_delay_applied": alignment.map(|alignment| alignment.is_applied),
+            "reference_delay_applied": alignment.map(|alignment| alignment.doubt.is_none()),
+            "reference_delay_doubt": alignment.and_then(|alignment| alignment.doubt),
         })
     }
 }

@@ -23,8 +23,9 @@ use model_export::inverse::build::DeviceModel;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::commands::connection::{PortArgs, Reference, check_protocol};
+use crate::commands::connection::{PortArgs, Reference};
 use crate::commands::upload::{UploadedCalibration, upload};
+use device::session::check_protocol;
 
 /// Time after which the watching thread looks whether it should end.
 const WAIT: Duration = Duration::from_millis(100);

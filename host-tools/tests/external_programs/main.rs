@@ -2,10 +2,13 @@
 //! this machine has no compiler for the chip every test is listed as ignored; `EMULATION=required` makes that a failure.
 
 #[cfg(unix)]
+mod control;
+#[cfg(unix)]
 #[allow(dead_code)] // The models behind them are another test's.
-#[path = "emulation/images.rs"]
+#[path = "../emulation/images.rs"]
 mod images;
 #[cfg(unix)]
+#[path = "../workdir/mod.rs"]
 mod workdir;
 
 #[cfg(unix)]
@@ -30,6 +33,7 @@ mod unix {
     use rustix::process::Signal;
     use serde_json::Value;
 
+    use crate::control;
     use crate::images::{self, Variant};
     use crate::workdir::running::Running;
     use crate::workdir::served::Served;
@@ -50,6 +54,23 @@ mod unix {
         }
         // The longest first: they wait for the clock while others compute.
         let trials = [
+            Trial::test(
+                "no_exit_releases_a_foreign_grip",
+                control::no_exit_releases_a_foreign_grip,
+            ),
+            Trial::test(
+                "no_exit_moves_fingers_of_an_earlier_host",
+                control::no_exit_moves_fingers_of_an_earlier_host,
+            ),
+            Trial::test("results_have_codes", control::results_have_codes),
+            Trial::test(
+                "first_home_on_the_default_image_names_the_cure",
+                control::first_home_on_the_default_image_names_the_cure,
+            ),
+            Trial::test(
+                "a_grip_that_fails_has_its_reason",
+                control::a_grip_that_fails_has_its_reason,
+            ),
             Trial::test("motor_and_screw_are_identified", identification),
             Trial::test("the_tutorial_flashes_and_drives", tutorial),
             Trial::test("grip_homes_and_holds_a_force_over_the_can_bus", grip),
@@ -58,6 +79,7 @@ mod unix {
             Trial::test("record_receives_every_tick_on_the_serial_line", record),
             Trial::test("a_socketcand_client_receives_heartbeats_until_ctrl_c", socketcand),
             Trial::test("a_profile_has_load_deadlines_and_stack", profile),
+            Trial::test("settings_survive_in_a_flash_file", flash_file),
             Trial::test("an_image_that_is_none_is_refused", refused),
         ];
         let trials =
@@ -65,23 +87,23 @@ mod unix {
         libtest_mimic::run(&arguments, trials).exit_code()
     }
 
-    fn path(variant: Variant) -> Result<String, Failed> {
+    pub fn path(variant: Variant) -> Result<String, Failed> {
         Ok(images::get(variant)?.path.display().to_string())
     }
 
     /// An emulation that runs, with serial line and CAN bus as other programs name them.
-    struct Emulation {
+    pub struct Emulation {
         running: Running,
-        serial: String,
-        can: String,
+        pub serial: String,
+        pub can: String,
     }
 
     /// Half of real time: this machine may be busy with other tests, and keep a program waiting for longer than the
     /// timeout of its commands (see [`Emulation::allow_delays`]).
-    const SLOW: &str = "--speed 0.5 --json";
+    pub const SLOW: &str = "--speed 0.5 --json";
 
     impl Emulation {
-        fn start(dir: &WorkDir, image: &str, options: &str) -> Self {
+        pub fn start(dir: &WorkDir, image: &str, options: &str) -> Self {
             let mut running = Running::start(dir, &format!("emulate {image} {options}"));
             let mut message = BufReader::new(running.0.stderr.take().unwrap());
             let mut of = |option: &str| {
@@ -99,12 +121,12 @@ mod unix {
         }
 
         /// Sets the longest timeout of commands that the gripper has: at half speed, a second.
-        fn allow_delays(&self, dir: &WorkDir) {
+        pub fn allow_delays(&self, dir: &WorkDir) {
             dir.json(&format!("parameter command_timeout 500 --port {} --json", self.serial));
         }
 
         /// Ends it with Ctrl-C; what it measured.
-        fn end(mut self) -> Value {
+        pub fn end(mut self) -> Value {
             self.running.signal(Signal::INT);
             let measured = self.running.objects().next().unwrap();
             assert!(self.running.0.wait().unwrap().success());
@@ -112,7 +134,7 @@ mod unix {
         }
     }
 
-    fn number(value: &Value) -> f64 {
+    pub fn number(value: &Value) -> f64 {
         value.as_f64().unwrap_or(f64::NAN)
     }
 
@@ -238,7 +260,7 @@ mod unix {
         let tutorial = std::fs::read_to_string(folder().join("flash-and-drive.md"))?;
         let dir = WorkDir::empty();
         link_data(&dir);
-        let image = path(Variant::Nominal)?;
+        let image = path(Variant::Default)?;
         let (mut emulation, mut others) = (None, Vec::new());
         let mut commands = 0;
         for step in steps(&tutorial) {
@@ -247,8 +269,7 @@ mod unix {
             };
             commands += 1;
             let Some(arguments) = arguments else {
-                // The image above has these tables.
-                assert_eq!(command, "MAGPIE_TABLES=nominal.rs cargo image");
+                assert_eq!(command, "cargo image");
                 continue;
             };
             if arguments[0] == "emulate" {
@@ -270,7 +291,17 @@ mod unix {
         }
         assert!(commands >= 8, "{commands}");
         drop(others);
-        let measured = emulation.expect("an emulation").end();
+        let mut measured = emulation.expect("an emulation").end();
+        // The upload ends with a reboot.
+        let resets = measured["resets"].take();
+        let causes: Vec<_> =
+            resets.as_array().unwrap().iter().map(|reset| &reset["cause"]).collect();
+        assert_eq!(causes, ["software"]);
+        measured["resets"] = Value::Array(Vec::new());
+        // To a board at half speed its chunks come twice as fast; it drops some, which are repeated.
+        if let Some(faults) = measured["faults"].as_array_mut() {
+            faults.retain(|fault| fault["code"] != Fault::Flooded as u16);
+        }
         is_clean(&measured);
         Ok(())
     }
@@ -399,6 +430,28 @@ mod unix {
             faults.retain(|fault| fault["code"] != Fault::StrangeFrames as u16);
         }
         is_clean(&measured);
+        Ok(())
+    }
+
+    fn flash_file() -> Result<(), Failed> {
+        let dir = WorkDir::empty();
+        let image = path(Variant::Default)?;
+        let line = |options: &str, emulation: &Emulation| {
+            dir.json(&format!(
+                "parameter command_timeout {options} --port {} --json",
+                emulation.serial
+            ))
+        };
+        let emulation = Emulation::start(&dir, &image, "--flash board.flash --json");
+        line("300 --save", &emulation);
+        is_clean(&emulation.end());
+        let emulation = Emulation::start(&dir, &image, "--flash board.flash --json");
+        assert_eq!(line("", &emulation)["parameters"][0]["value"], 300);
+        is_clean(&emulation.end());
+        std::fs::write(dir.path("notes.txt"), "not a flash memory")?;
+        let message = dir.failure(&format!("emulate {image} --flash notes.txt --seconds 1"));
+        assert!(message.contains("notes.txt"), "{message}");
+        assert_eq!(dir.read("notes.txt"), "not a flash memory");
         Ok(())
     }
 
