@@ -171,7 +171,7 @@ pub fn estimate(fields: &[FieldSeries], forces: &[ForceSeries], search_s: f64) -
     }
     let delay = refine(&channels, best_s)?;
     let best = unexplained(delay.delay_s);
-    // A minimum of the coarse grid is up to half a step beside that of the curve.
+    // A minimum of the coarse grid is up to half a step from that of the curve.
     let refined = |near_s| refine(&channels, near_s).map(|delay| unexplained(delay.delay_s));
     let rival = rival_s(&coarse, delay.delay_s).and_then(refined);
     let rival = rival.map_or(0.0, |rival| (best - rival).exp());
@@ -576,7 +576,7 @@ mod tests {
     const SECONDS: f64 = 30.0;
 
     /// Two forces of a sensor as sums of sines, its field with the noise of the sensor, and the reference at 100 Hz with a
-    /// slowly varying error besides its noise. The field of the lateral force is late by `lag_s`.
+    /// slowly varying error in addition to its noise. The field of the lateral force is late by `lag_s`.
     fn recording_with_lag(
         seed: u64,
         delay_s: f64,

@@ -86,7 +86,7 @@ fn refused(path: &str, kind: serialport::ErrorKind, description: &str) -> anyhow
         ),
         NoDevice => anyhow!(
             "{path}: in use by another program, and a serial port serves one at a time ({description}): close that program \
-             (`fuser {path}` names it), or use the CAN bus, which also carries --stop and --release beside it"
+             (`fuser {path}` names it), or use the CAN bus, which also carries --stop and --release meanwhile"
         ),
         _ => anyhow!("{path}: cannot be opened as a serial port ({description}); {}", ports()),
     }

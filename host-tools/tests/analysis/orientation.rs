@@ -111,7 +111,7 @@ fn column_errors_of_a_turned_sensor_are_named_as_recorded() {
 
 /// With a reference of one axis, a sensor that is mounted as in the design shows which one that is.
 #[test]
-fn reference_of_one_axis_determines_a_turned_sensor_beside_a_nominal_one() {
+fn reference_of_one_axis_determines_a_turned_sensor_next_to_a_nominal_one() {
     let dir = WorkDir::empty();
     for (campaign, sensors, is_fitted) in [("pair", 2, true), ("alone", 1, false)] {
         dir.stdout(&format!(

@@ -169,7 +169,7 @@ impl Wire {
     }
 }
 
-/// What commands do themselves beside a grip of an earlier host: status of the refusals, 0 for those that only observe or write
+/// What commands do themselves during a grip of an earlier host: status of the refusals, 0 for those that only observe or write
 /// what does not move.
 const BESIDE_A_GRIP: [(&str, i32); 15] = [
     ("grasp {bus} --position 60", 15),
@@ -189,7 +189,7 @@ const BESIDE_A_GRIP: [(&str, i32); 15] = [
     ("record {bus} --seconds 1 -o recording", 0),
 ];
 
-/// Each way out of each command beside a grip of an earlier host.
+/// Each way out of each command during a grip of an earlier host.
 pub fn no_exit_releases_a_foreign_grip() -> Result<(), Failed> {
     let cell = Cell::start()?;
     cell.abandon_grip();

@@ -154,7 +154,7 @@ opening. Ctrl-C or the end of --seconds opens a grasp of this command or leaves 
 A second Ctrl-C is an emergency stop, after which the fingers do not move. What was gripped before the command stays \
 gripped, however it ends, except with --release: a refusal, a lost connection or a kill opens nothing.
 
-Only one program at a time can use a serial port: beside another one, --stop and --release work over the CAN bus only.
+Only one program at a time can use a serial port: next to another one, --stop and --release work over the CAN bus only.
 ";
 
 /// What follows the options in `--help`.
