@@ -54,8 +54,6 @@ pub type LoadableNetwork = Network<2, 8, 1>;
 /// Header of an encoded calibration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Header {
-    /// See [`format`].
-    pub format: u32,
     /// Bytes of the payload.
     pub length: u32,
     /// Its CRC-32.
@@ -63,10 +61,10 @@ pub struct Header {
 }
 
 impl Header {
-    /// Encodes the header.
-    pub fn to_bytes(self) -> [u8; HEADER_BYTES] {
+    /// Encodes the header with a format, see [`format`](fn@format).
+    pub fn to_bytes(self, format: u32) -> [u8; HEADER_BYTES] {
         let [a, b, c, d] = MAGIC;
-        let numbers = [u32::from_le_bytes([a, b, c, d]), self.format, self.length, self.crc];
+        let numbers = [u32::from_le_bytes([a, b, c, d]), format, self.length, self.crc];
         let mut bytes = [0; HEADER_BYTES];
         for (to, from) in bytes.iter_mut().zip(numbers.map(u32::to_le_bytes).as_flattened()) {
             *to = *from;
@@ -79,8 +77,8 @@ impl Header {
         let (numbers, _) = bytes.as_chunks::<4>();
         let [magic, format, length, crc] = numbers else { return None };
         let is_known = *magic == MAGIC && u32::from_le_bytes(*format) == FORMAT;
-        let [length, crc] = [length, crc].map(|bytes| u32::from_le_bytes(*bytes));
-        is_known.then_some(Self { format: FORMAT, length, crc })
+        is_known
+            .then(|| Self { length: u32::from_le_bytes(*length), crc: u32::from_le_bytes(*crc) })
     }
 }
 

@@ -129,12 +129,9 @@ pub fn encode_calibration(
     let fits = memory.read(&mut Reader::new(&mut source, &mut pool), &mut compensations);
     fits.ok_or(CalibrationError::Memory)?;
     let scale = &built.model.sensor_scale;
-    let header = Header {
-        format: format(scale.gauss_per_lsb, scale.range_gauss),
-        length: payload.len() as u32,
-        crc: CRC32.checksum(&payload),
-    };
-    let bytes = [&header.to_bytes()[..], &payload].concat();
+    let header = Header { length: payload.len() as u32, crc: CRC32.checksum(&payload) };
+    let format = format(scale.gauss_per_lsb, scale.range_gauss);
+    let bytes = [&header.to_bytes(format)[..], &payload].concat();
     if bytes.len() > MAX_BYTES as usize {
         return Err(CalibrationError::Length(bytes.len()));
     }

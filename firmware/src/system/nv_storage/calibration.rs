@@ -116,7 +116,7 @@ impl CalibrationSlots {
             _ => return None,
         };
         let header = self.verify(flash, slot).await?;
-        let Header { length, crc, .. } = header;
+        let Header { length, crc } = header;
         Some(StoredCalibration { slot, sequence, length, crc, is_finished })
     }
 
@@ -369,7 +369,7 @@ mod tests {
 
     fn encoded_as(format: u32, payload: &[u8]) -> Vec<u8> {
         let (length, crc) = (payload.len() as u32, CRC32.checksum(payload));
-        [&Header { format, length, crc }.to_bytes()[..], payload].concat()
+        [&Header { length, crc }.to_bytes(format)[..], payload].concat()
     }
 
     /// A calibration of this length with a payload of one byte's value.
