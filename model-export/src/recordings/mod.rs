@@ -10,7 +10,7 @@
 //! - [`noise_model`]: noise of the aligned rows by several estimators, and whether their order carries time.
 //! - `repeated_settings`: pure error of a table of settings.
 //! - [`smooth_field`]: the smooth that removes the motion of the load from that estimate.
-//! - `table_format`: how a foreign table writes its values.
+//! - [`table_format`]: how a foreign table writes its values.
 //! - [`align`]: resampling of the board's stream onto the reference clock.
 //! - [`stream`]: rows of one recording, on the reference clock or at the board's rate.
 //! - [`recording`]: one recording, validated, aligned and in memory.
@@ -39,7 +39,7 @@ pub mod recording;
 mod repeated_settings;
 pub mod smooth_field;
 pub mod stream;
-mod table_format;
+pub mod table_format;
 pub mod units;
 
 pub use campaign::Campaign;

@@ -12,8 +12,9 @@ use jiff::civil::{Date, DateTime, Time};
 
 use crate::recordings::units::find_unit;
 
-/// Bytes and records at the start of a table that are examined.
+/// Bytes at the start of a table that are examined.
 pub const EXAMINED_BYTES: u64 = 1 << 16;
+/// Records of these at most.
 const EXAMINED_RECORDS: usize = 1000;
 /// Separators of cells; among equally regular ones the first.
 const SEPARATORS: [u8; 3] = *b",;\t";
@@ -25,6 +26,7 @@ const DATE_FORMS: [&str; 2] = ["%d.%m.%Y %H:%M:%S%.f", "%Y/%m/%d %H:%M:%S%.f"];
 /// Format of a table.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TableFormat {
+    /// Between cells.
     pub separator: u8,
     /// Records before the header.
     pub preamble: usize,
