@@ -457,7 +457,7 @@ impl<'a> Evaluation<'a> {
             }))
         });
         for axis in (0..2).filter(|axis| is_measured[*axis]) {
-            self.noises[i][axis].push(found[axis], found[axis] - recorded[axis], at_reference_row);
+            self.noises[i][axis].push(found[axis], found[axis] - reference[axis], at_reference_row);
             let replay = &mut self.result.sensors[i].axes[axis];
             if is_flagged {
                 replay.flagged.add(found[axis] - reference[axis]);
