@@ -83,7 +83,7 @@ impl CsvReader {
         Ok(Self::new(path, bytes(path)?, TableFormat::default()))
     }
 
-    /// The same for a foreign table, which may have another [`TableFormat`].
+    /// The same for a foreign table, which may have other separators and number formats.
     ///
     /// # Errors
     /// As [`CsvReader::open`].

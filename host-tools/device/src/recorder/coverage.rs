@@ -64,7 +64,7 @@ pub struct Coverage {
 }
 
 /// Maximum number of samples of a force, 10 min at the period of the averages; even.
-pub const MAX_ESTIMATES: usize = 1 << 16;
+const MAX_ESTIMATES: usize = 1 << 16;
 
 /// Samples of a force in bounded memory: of longer recordings means over longer times.
 #[derive(Clone, Debug)]
@@ -123,7 +123,7 @@ impl Coverage {
         }
     }
 
-    /// Keeps the board's estimates, at most [`MAX_ESTIMATES`] of each force.
+    /// Keeps the board's estimates, at most 65,536 means of each force.
     pub fn with_estimates(self) -> Self {
         Self { estimates: Some(BTreeMap::new()), ..self }
     }
