@@ -230,6 +230,11 @@ impl BoundedReader {
         self.is_crlf == Some(true)
     }
 
+    /// Whether the bytes that were read end with a line.
+    pub fn is_at_line_end(&self) -> bool {
+        self.last == b'\n'
+    }
+
     fn note_line_end(&mut self, bytes: &[u8]) {
         if self.is_crlf.is_none()
             && let Some(end) = bytes.iter().position(|byte| *byte == b'\n')

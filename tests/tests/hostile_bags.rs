@@ -28,8 +28,8 @@ fn hostile_bags_are_read_or_refused_with_a_sentence() {
         let read = |undecodable| read_topics(&folder.join(name), |_| true, undecodable);
         let (import, guess) = (read(Undecodable::Refuse), read(Undecodable::Skip));
         match (import, refusal) {
-            (Ok(topics), None) => {
-                assert!(topics.iter().all(|topic| topic.messages() > 0), "{name}")
+            (Ok(read), None) => {
+                assert!(read.topics.iter().all(|topic| topic.messages() > 0), "{name}")
             }
             (Err(error), Some(part)) => assert!(error.to_string().contains(part), "{error}"),
             (result, expected) => panic!("{name}: {result:?} where {expected:?} is expected"),

@@ -438,3 +438,38 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn cut_last_line_is_left_out_with_a_notice() {
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("rec");
+    let (hall, force) = valid();
+    write_recording(&path, RECORDING_TOML, &hall, &force);
+    let read = |hall: &str| {
+        fs::remove_file(path.join("hall.csv.gz")).ok();
+        fs::write(path.join("hall.csv"), hall).unwrap();
+        Recording::read(&path, NO_DELAY)
+    };
+    let whole = read(&hall).unwrap();
+    let lines = hall.lines().count();
+    let last = hall.trim_end().rfind('\n').unwrap() + 1;
+    let last_comma = hall.rfind(',').unwrap();
+    for end in [last + 1, last + 3, (last + last_comma) / 2, last_comma, last_comma + 1] {
+        let recording = read(&hall[..end]).unwrap();
+        assert_eq!(recording.rows_read.0, whole.rows_read.0 - 1, "{end}");
+        let [notice] = &recording.notices[..] else { panic!("{:?}", recording.notices) };
+        let notice = notice.to_string();
+        assert!(notice.contains(&format!("line {lines}: the last line was cut off")), "{notice}");
+    }
+    // A whole line without its end is read.
+    let recording = read(hall.trim_end()).unwrap();
+    assert_eq!((recording.rows_read, recording.notices.len()), (whole.rows_read, 0));
+    // Other short lines are errors, also where the file is cut elsewhere.
+    let ended = format!("{}\n", &hall[..last_comma]);
+    let followed = format!("{}\n{}", &hall[..last_comma], &hall[last..last_comma]);
+    let not_a_number = format!("{}x,", &hall[..last]);
+    for (text, line) in [(ended, lines), (followed, lines), (not_a_number, lines)] {
+        let message = read(&text).unwrap_err().to_string();
+        assert_contains(&message, &format!("line {line}"));
+    }
+}

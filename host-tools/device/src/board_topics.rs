@@ -68,6 +68,11 @@ impl<S: TopicSink> BoardTopics<S> {
 }
 
 impl BoardTopics<McapWriter> {
+    /// Writes the messages so far to the file if the first of them is a second old.
+    pub fn flush_due(&mut self) -> Result<()> {
+        Ok(self.topics.flush_due()?)
+    }
+
     /// Completes the file.
     pub fn finish(self) -> Result<()> {
         Ok(self.topics.finish()?)

@@ -2,7 +2,8 @@
 //!
 //! The kernel accepts the writes of a process page by page, and each page of a killed process is written
 //! completely or not at all. No write and no line therefore crosses a page boundary: the previous line is
-//! padded with blanks, which readers of numbers skip. After a power failure the file system's guarantees apply.
+//! padded with blanks, which readers of numbers skip, or, if it is in the file already, followed by a comment.
+//! After a power failure the file system's guarantees apply.
 
 use std::io::{self, ErrorKind, Write};
 
@@ -16,14 +17,19 @@ pub struct PagedWriter<W> {
     written: u64,
     /// Complete lines that follow in the same page.
     waiting: Vec<u8>,
-    /// Last line, which may need padding; empty before the first.
+    /// Last line, which may need padding; empty after a flush.
     last: Vec<u8>,
+    /// Length of the longest line so far.
+    longest: usize,
 }
+
+/// The last line is written by a flush if the page still holds this many of the longest line.
+const FREE_LINES: usize = 2;
 
 impl<W: Write> PagedWriter<W> {
     /// Empty table.
     pub fn new(out: W) -> Self {
-        Self { out, written: 0, waiting: Vec::with_capacity(PAGE), last: Vec::new() }
+        Self { out, written: 0, waiting: Vec::with_capacity(PAGE), last: Vec::new(), longest: 0 }
     }
 
     /// Adds a line, given without its line end.
@@ -35,22 +41,35 @@ impl<W: Write> PagedWriter<W> {
             let why = format!("a line of {} bytes is longer than a page", text.len());
             return Err(io::Error::new(ErrorKind::InvalidInput, why));
         }
-        if !self.last.is_empty() {
-            let end = (self.page_used() + self.last.len() + 1) % PAGE;
-            if end > 0 && end + text.len() + 1 > PAGE {
-                self.last.resize(self.last.len() + PAGE - end, b' ');
-            }
+        let end = self.end();
+        let is_full = end > 0 && end + text.len() + 1 > PAGE;
+        if is_full && self.last.is_empty() {
+            self.last.push(b'#');
+            self.last.truncate(PAGE - end - 1);
+        }
+        if is_full {
+            self.last.resize(PAGE - self.page_used() - 1, b' ');
+        }
+        if is_full || !self.last.is_empty() {
             self.settle()?;
         }
         self.last.extend_from_slice(text.as_bytes());
+        self.longest = self.longest.max(text.len() + 1);
         Ok(())
     }
 
-    /// Writes all lines but the last.
+    /// Writes all lines; the last only if the next one fits in its page too, which is so for most lines.
     ///
     /// # Errors
     /// Writing failed; a partial line may exist beyond [`Self::written`] bytes.
     pub fn flush(&mut self) -> io::Result<()> {
+        if !self.last.is_empty() && self.end() + FREE_LINES * self.longest <= PAGE {
+            self.settle()?;
+        }
+        self.write_waiting()
+    }
+
+    fn write_waiting(&mut self) -> io::Result<()> {
         self.out.write_all(&self.waiting)?;
         self.written += self.waiting.len() as u64;
         self.waiting.clear();
@@ -65,7 +84,7 @@ impl<W: Write> PagedWriter<W> {
         if !self.last.is_empty() {
             self.settle()?;
         }
-        self.flush()
+        self.write_waiting()
     }
 
     /// Bytes of complete lines in the file.
@@ -83,9 +102,15 @@ impl<W: Write> PagedWriter<W> {
         self.waiting.append(&mut self.last);
         self.waiting.push(b'\n');
         if self.page_used() == 0 {
-            self.flush()?;
+            self.write_waiting()?;
         }
         Ok(())
+    }
+
+    /// End of the last line in its page.
+    fn end(&self) -> usize {
+        let last = if self.last.is_empty() { 0 } else { self.last.len() + 1 };
+        (self.page_used() + last) % PAGE
     }
 
     /// Used bytes of the current page.
@@ -148,21 +173,33 @@ mod tests {
             }
             prop_assert_eq!(paged.written, place as u64);
             let text = String::from_utf8(all).unwrap();
-            let read: Vec<&str> = text.lines().map(str::trim_end).collect();
+            let read = text.lines().map(str::trim_end);
+            let read: Vec<&str> = read.filter(|line| !["", "#"].contains(line)).collect();
             prop_assert_eq!(read, lines);
         }
     }
 
     #[test]
-    fn flush_writes_all_lines_but_the_last() {
+    fn flush_writes_all_lines_unless_the_page_is_nearly_full() {
         let mut paged = PagedWriter::new(Writes::default());
         for text in ["a", "b", "c"] {
             paged.line(text).unwrap();
         }
         paged.flush().unwrap();
-        assert_eq!(paged.out.0.concat(), b"a\nb\n");
-        paged.finish().unwrap();
         assert_eq!(paged.out.0.concat(), b"a\nb\nc\n");
+        let text = "x".repeat(PAGE / 2);
+        paged.line(&text).unwrap();
+        paged.flush().unwrap();
+        assert_eq!(paged.out.0.concat(), b"a\nb\nc\n");
+        paged.finish().unwrap();
+        assert_eq!(paged.written(), 6 + text.len() as u64 + 1);
+        // The written line cannot be padded.
+        paged.line(&text).unwrap();
+        paged.finish().unwrap();
+        let written = String::from_utf8(paged.out.0.concat()).unwrap();
+        let lines: Vec<&str> = written.lines().map(str::trim_end).collect();
+        assert_eq!(lines, ["a", "b", "c", &text, "#", &text]);
+        assert_eq!(written.rfind(&text), Some(PAGE));
         assert!(paged.line(&"x".repeat(PAGE)).is_err());
     }
 }

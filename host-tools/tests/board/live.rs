@@ -262,6 +262,107 @@ fn recording_is_valid_when_the_recorder_is_killed() {
     }
 }
 
+/// Time in seconds of the last row of a table of a recording.
+fn last_s(table: &Path) -> f64 {
+    let mut text = String::new();
+    let file = File::open(table).unwrap();
+    match table.extension().is_some_and(|extension| extension == "gz") {
+        true => flate2::read::MultiGzDecoder::new(file).read_to_string(&mut text).unwrap(),
+        false => BufReader::new(file).read_to_string(&mut text).unwrap(),
+    };
+    let (last, _) = text.lines().last().unwrap().split_once(',').unwrap();
+    1e-6 * last.trim().parse::<f64>().unwrap()
+}
+
+#[test]
+fn killed_recordings_are_imported_up_to_the_last_second() {
+    let dir = workdir();
+    let reference = "columns = [{ column = 1, unit = \"N\", to = \"f0_x_n\" }]\n";
+    std::fs::write(dir.path("map.toml"), reference).unwrap();
+    for (number, wanted) in [1600, 1777, 1999, 2001, 2400, 2999, 3100, 3333].into_iter().enumerate()
+    {
+        let has_reference = number % 2 == 1;
+        let server = has_reference.then(|| line_server(|row| format!("{row}\n")));
+        let mut line = format!(
+            "record --virtual --model model.toml --press 10,5 -o k/{number} --mcap k{number}.mcap --start-s 0"
+        );
+        if let Some((port, _)) = &server {
+            line += &format!(" --reference tcp:127.0.0.1:{port} --reference-map map.toml");
+        }
+        let mut record = Running::start(&dir, &line);
+        let folder = dir.path(&format!("k/{number}"));
+        // Of the MCAP file the first second is in memory.
+        let written = grown(&folder, wanted, &mut record).len();
+        // With the first row of the reference; then not always right after a flush.
+        while std::fs::read_to_string(folder.join("force.csv")).unwrap().lines().count() < 2 {
+            std::thread::sleep(Duration::from_millis(3));
+        }
+        std::thread::sleep(Duration::from_millis(61 * number as u64));
+        record.signal(Signal::KILL);
+        record.0.wait().unwrap();
+        if let Some((_, sender)) = server {
+            sender.join().unwrap();
+        }
+        let force = std::fs::read_to_string(folder.join("force.csv")).unwrap();
+        assert!(force.starts_with("t_us,f0_x_n"), "{number}: {force}");
+        let csv_s = last_s(&folder.join("hall.csv"));
+        assert!(csv_s > 1e-3 * written as f64 - 1.5e-3, "{number}: {csv_s} s, {written} rows");
+        let recording = Recording::read(&folder, Alignment { delay_us: 0.0 }).unwrap();
+        assert!(recording.notices.iter().all(|notice| !notice.message.contains("cut off")));
+        dir.stdout(&format!("import --guess k{number}.mcap -o k{number}.toml"));
+        let imported =
+            dir.run(&format!("import k{number}.toml k{number}.mcap -o imported{number}"));
+        let text = String::from_utf8_lossy(&imported.stderr).into_owned()
+            + &String::from_utf8_lossy(&imported.stdout);
+        assert!(imported.status.success(), "{number}: {text}");
+        let words = text.split_whitespace().collect::<Vec<_>>().join(" ");
+        assert!(words.contains("read up to its last whole chunk,"), "{number}: {text}");
+        let mcap_s = last_s(&dir.path(&format!("imported{number}/1/hall.csv.gz")));
+        // The CSV tables are at most half a second behind, or ahead by one chunk.
+        assert!(mcap_s > csv_s - 1.1, "{number}: {mcap_s} of {csv_s}");
+    }
+}
+
+#[test]
+fn reference_that_ends_first_is_reported_and_keeps_its_rows() {
+    let dir = workdir();
+    let mapping = "columns = [{ column = 1, unit = \"N\", to = \"f0_x_n\" }]\n";
+    std::fs::write(dir.path("map.toml"), mapping).unwrap();
+    let record = |rows: u32, options: &str| {
+        let server = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+        let port = server.local_addr().unwrap().port();
+        let sender = std::thread::spawn(move || {
+            let (mut stream, _) = server.accept().unwrap();
+            for row in 0..rows {
+                stream.write_all(format!("{row}\n").as_bytes()).unwrap();
+                std::thread::sleep(Duration::from_millis(10));
+            }
+        });
+        let output = dir.run(&format!(
+            "record --virtual --model model.toml --seconds 4 --reference tcp:127.0.0.1:{port} --reference-map map.toml {options}"
+        ));
+        sender.join().unwrap();
+        output
+    };
+    let output = record(150, "-o ended --json");
+    let errors = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(20), "{errors}");
+    assert_eq!(errors.matches("the reference ended after ").count(), 2, "{errors}");
+    let summary: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let end_s = summary["reference_ended_s"].as_f64().unwrap();
+    let rows = summary["reference_rows"].as_u64().unwrap();
+    assert!(end_s > 0.5 && end_s < summary["span_s"].as_f64().unwrap(), "{summary}");
+    let force = std::fs::read_to_string(dir.path("ended/force.csv")).unwrap();
+    assert!(rows > 20 && force.lines().count() as u64 == rows + 1, "{rows}: {force}");
+    assert!(force.lines().last().unwrap().trim_end().ends_with(",149.0000"), "{force}");
+    // Without any row of it the recording is kept and reported, too.
+    let output = record(0, "-o none");
+    let text = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert_eq!(output.status.code(), Some(20), "{text}");
+    assert!(text.contains("Incomplete: the reference ended after 0."), "{text}");
+    assert!(last_s(&dir.path("none/hall.csv")) > 1.0);
+}
+
 #[test]
 fn ctrl_c_ends_a_recording_without_overwriting() {
     let dir = workdir();

@@ -83,7 +83,7 @@ impl CsvReader {
         Ok(Self::new(path, bytes(path)?, TableFormat::default()))
     }
 
-    /// The same for a foreign table, which may have another [`TableFormat`].
+    /// The same for a foreign table, which may have other separators and number formats.
     ///
     /// # Errors
     /// As [`CsvReader::open`].
@@ -250,6 +250,8 @@ pub struct CsvTable {
     previous: Option<CsvRow>,
     /// Rows that were read ahead of [`CsvTable::next_row`].
     buffered: VecDeque<CsvRow>,
+    /// Line that was cut off.
+    cut_line: Option<u64>,
 }
 
 impl CsvTable {
@@ -311,6 +313,7 @@ impl CsvTable {
             time_column: Some(0),
             previous: None,
             buffered: VecDeque::new(),
+            cut_line: None,
         })
     }
 
@@ -420,11 +423,48 @@ impl CsvTable {
         self.time_column.is_some_and(|column| row.cells[column].is_nan() && is_optional(column))
     }
 
+    /// That the last line was cut off, once the table was read.
+    pub fn cut_notice(&self) -> Option<Notice> {
+        self.cut_line.map(|line| Notice {
+            location: Location::file(&self.path).line(line),
+            message: "the last line was cut off, as when a logger is killed: the table was read up to the line before".to_owned(),
+        })
+    }
+
     fn read_any_row(&mut self) -> Result<Option<CsvRow>, DataError> {
         let line = self.reader.line();
-        if !self.reader.read(&mut self.record)? {
+        if self.cut_line.is_some() || !self.reader.read(&mut self.record)? {
             return Ok(None);
         }
+        match self.parse_record(line) {
+            Err(_) if self.is_cut()? => {
+                self.cut_line = Some(line);
+                Ok(None)
+            }
+            row => row.map(Some),
+        }
+    }
+
+    /// Whether the record is incomplete because the file ends within its line; consumes the next one.
+    fn is_cut(&mut self) -> Result<bool, DataError> {
+        let cells = self.record.len();
+        let is_whole = |cell: &[u8]| parse_cell(cell, CellRule::Number).is_ok();
+        let before_last = self.record.iter().take(cells.saturating_sub(1)).zip(&self.rules);
+        let are_valid =
+            before_last.map(|(cell, rule)| parse_cell(cell, *rule)).all(|cell| cell.is_ok());
+        let is_short = cells < self.header.len();
+        let ends_within =
+            cells == self.header.len() && !self.record.iter().next_back().is_some_and(is_whole);
+        let is_candidate = are_valid && (is_short || ends_within);
+        if !is_candidate || self.reader.reader.get_ref().is_at_line_end() {
+            return Ok(false);
+        }
+        // Bytes are read ahead: other records may follow.
+        Ok(!self.reader.read(&mut self.record)?)
+    }
+
+    /// Numbers of the record at `line`.
+    fn parse_record(&self, line: u64) -> Result<CsvRow, DataError> {
         if self.record.len() != self.header.len() {
             let kind =
                 ErrorKind::CellCount { found: self.record.len(), expected: self.header.len() };
@@ -440,7 +480,7 @@ impl CsvTable {
             }
             cells.push(value);
         }
-        Ok(Some(CsvRow { line, cells }))
+        Ok(CsvRow { line, cells })
     }
 
     /// Checks the clock of a row and remembers it.

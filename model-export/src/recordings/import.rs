@@ -20,7 +20,7 @@ use crate::recordings::mapping::{
     ATTITUDE_COLUMNS, ColumnMapping, Mapping, TableMapping, conversion, conversion_factor,
     euler_angles,
 };
-use crate::recordings::mcap::{self, Join, Undecodable};
+use crate::recordings::mcap::{self, BagTopics, Join, Undecodable};
 use crate::recordings::units::{find_unit, round_significant};
 
 /// Significant digits of imported values: exceeds the resolution of any sensor, avoids 0.30000000000000004.
@@ -66,7 +66,8 @@ pub fn import(
         std::fs::create_dir(&folder)
             .map_err(|error| ErrorKind::Unwritable(error).at(Location::file(target)))?;
         start.stated_s = mapping.starts_s.get(i).copied();
-        let (rows, joined) = import_one(&mapping, mapping_path, source, &folder, &mut start)?;
+        let (rows, joined, cut) = import_one(&mapping, mapping_path, source, &folder, &mut start)?;
+        joins.extend(cut);
         let place = Location::file(&target.join(&name));
         let notice = |message| Notice { location: place.clone(), message };
         joins.extend(joined.iter().map(ToString::to_string).map(notice));
@@ -120,7 +121,7 @@ fn import_one(
     source: &Path,
     folder: &Path,
     start: &mut CampaignStart,
-) -> Result<(RowCounts, Vec<JoinedChannel>), DataError> {
+) -> Result<(RowCounts, Vec<JoinedChannel>, Vec<Notice>), DataError> {
     let (hall, force) = rayon::join(
         || SourceTable::open(&mapping.hall, CellRule::Number, mapping_path, source),
         || SourceTable::open(&mapping.force, CellRule::Optional, mapping_path, source),
@@ -130,11 +131,15 @@ fn import_one(
     let recorded = date(origin_us - hall.clock_offset_us);
     let joined: Vec<JoinedChannel> = hall.joined.iter().chain(&force.joined).cloned().collect();
     let force_path = folder.join("force.csv.gz");
-    let (hall, force) = rayon::join(
+    let (hall_written, force_written) = rayon::join(
         || hall.write(&folder.join("hall.csv.gz"), origin_us, false),
         || force.write(&force_path, origin_us, true),
     );
-    let ((hall_rows, _, last_us), (force_rows, measured, _)) = (hall?, force?);
+    let ((hall_rows, _, last_us), (force_rows, measured, _)) = (hall_written?, force_written?);
+    let mut cut = hall.cut_notices();
+    // Both tables may be of one file.
+    cut.extend(force.cut_notices());
+    cut.dedup();
     // Without any force the times are kept.
     if measured == 0 {
         SourceTable::open(&mapping.force, CellRule::Optional, mapping_path, source)?.write(
@@ -156,7 +161,7 @@ fn import_one(
     description.gauss_per_lsb = mapping.gauss_per_lsb;
     description.design = mapping.design.clone();
     description.write(folder)?;
-    Ok(((hall_rows, force_rows, measured), joined))
+    Ok(((hall_rows, force_rows, measured), joined, cut))
 }
 
 /// One table of a source and the conversion of its columns.
@@ -166,6 +171,8 @@ struct SourceTable {
     clock_offset_us: f64,
     /// Topics with a clock of their own.
     joined: Vec<JoinedChannel>,
+    /// Files of a bag that were cut off.
+    cut: Vec<Notice>,
     columns: Vec<SourceColumn>,
     /// Indices of the quaternion's columns.
     attitude: Option<[usize; 4]>,
@@ -190,12 +197,12 @@ impl SourceClock {
     }
 }
 
-/// The table of a bag with the columns of a mapping.
+/// The table of a bag with the columns of a mapping, its joined topics, and that it was cut off.
 fn bag_table(
     mapping: &TableMapping,
     rule: CellRule,
     path: &Path,
-) -> Result<(CsvTable, Vec<JoinedChannel>), DataError> {
+) -> Result<(CsvTable, Vec<JoinedChannel>, Vec<Notice>), DataError> {
     let columns = mapping.columns.iter().map(|column| column.from.as_str());
     let attitude = mapping.attitude.iter().flat_map(|attitude| attitude.columns());
     let mut columns: Vec<&str> = columns.chain(attitude).collect();
@@ -207,7 +214,7 @@ fn bag_table(
             |column: &str| column.strip_prefix(topic).is_some_and(|rest| rest.starts_with('.'));
         columns.iter().chain([&clock]).any(|column| is_of_topic(column))
     };
-    let topics = mcap::read_topics(path, is_wanted, Undecodable::Refuse)?;
+    let BagTopics { topics, notices } = mcap::read_topics(path, is_wanted, Undecodable::Refuse)?;
     // Half a turn in the unit of the source: between two angles that are further apart it has wrapped.
     let half_turn = |name: &str| {
         let column = mapping.columns.iter().find(|column| column.from == name)?;
@@ -224,7 +231,7 @@ fn bag_table(
         let own = mapping.columns.iter().filter(is_own).map(|column| column.to.clone());
         channel.columns = own.collect();
     }
-    Ok((CsvTable::from_text(path, joined.text)?, channels))
+    Ok((CsvTable::from_text(path, joined.text)?, channels, notices))
 }
 
 struct SourceColumn {
@@ -254,10 +261,10 @@ impl SourceTable {
             Some(file) => source.join(file),
             None => source.to_path_buf(),
         };
-        let (mut table, joined) = if mcap::is_bag(&path) {
+        let (mut table, joined, cut) = if mcap::is_bag(&path) {
             bag_table(mapping, rule, &path)?
         } else {
-            (CsvTable::open_foreign(&path)?, Vec::new())
+            (CsvTable::open_foreign(&path)?, Vec::new(), Vec::new())
         };
         let index = |name: &str| {
             table.header().iter().position(|column| column == name).ok_or_else(|| {
@@ -313,7 +320,12 @@ impl SourceTable {
             false => 0.0,
         };
         let clock_offset_us = mapping.clock.offset_s * 1e6 - first;
-        Ok(Self { table, clock, clock_offset_us, joined, columns, attitude })
+        Ok(Self { table, clock, clock_offset_us, joined, cut, columns, attitude })
+    }
+
+    /// That the table, or a file of its bag, was cut off; complete after the last row.
+    fn cut_notices(&self) -> Vec<Notice> {
+        self.cut.iter().cloned().chain(self.table.cut_notice()).collect()
     }
 
     /// Time of the first row, which is not consumed.

@@ -179,6 +179,7 @@ impl AlignedStream {
             [(&self.hall.clock, &self.hall.table), (&self.force.clock, &self.force.table)]
         {
             notices.extend(clock.gap_notice(table));
+            notices.extend(table.cut_notice());
         }
         notices.extend(self.hall.saturation_notices());
         notices.extend(self.hall.rate_notice());

@@ -83,7 +83,7 @@ pub fn read(bytes: &[u8]) -> Tally {
 fn tables(path: &Path) -> Tally {
     let mut tally = Tally::default();
     let topics = match read_topics(path, |_| true, Undecodable::Refuse) {
-        Ok(topics) => topics,
+        Ok(read) => read.topics,
         Err(error) => {
             assert!(!error.to_string().trim().is_empty());
             tally.refused = 1;

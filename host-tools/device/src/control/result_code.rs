@@ -55,6 +55,7 @@ codes! {
     Timeout "timeout" 17 "not reached in time, or commands arrived too late";
     ConnectionLost "connection_lost" 18 "the connection ended, or the gripper is silent";
     WrongWidth "wrong_width" 19 "the object is wider than --width";
+    ReferenceEnded "reference_ended" 20 "the reference of a recording ended before it";
     Interrupted "interrupted" 130 "Ctrl-C or SIGTERM before the end";
 }
 

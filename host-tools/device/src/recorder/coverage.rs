@@ -59,7 +59,52 @@ pub struct Coverage {
     speed_from: Option<(u64, f64)>,
     /// Number of the averaging period, sum of its forces in newtons and their count.
     averages: BTreeMap<(u32, Axis), (u64, f64, u32)>,
-    estimates: ForceEstimates,
+    /// None where they are not kept.
+    estimates: Option<BTreeMap<(u32, Axis), BoundedSeries>>,
+}
+
+/// Maximum number of samples of a force, 10 min at the period of the averages; even.
+const MAX_ESTIMATES: usize = 1 << 16;
+
+/// Samples of a force in bounded memory: of longer recordings means over longer times.
+#[derive(Clone, Debug)]
+struct BoundedSeries {
+    samples: Vec<[f64; 2]>,
+    /// Samples that one mean is of.
+    averaged: u32,
+    /// Sum of the samples of the next mean, and their count.
+    sum: ([f64; 2], u32),
+}
+
+impl BoundedSeries {
+    const EMPTY: Self = Self { samples: Vec::new(), averaged: 1, sum: ([0.0; 2], 0) };
+
+    fn push(&mut self, [time_s, newtons]: [f64; 2]) {
+        let ([sum_s, sum_n], count) = self.sum;
+        self.sum = ([sum_s + time_s, sum_n + newtons], count + 1);
+        if self.sum.1 < self.averaged {
+            return;
+        }
+        if self.samples.len() >= MAX_ESTIMATES {
+            let mean = |pair: &[[f64; 2]]| match pair {
+                [a, b] => [0, 1].map(|part| 0.5 * (a[part] + b[part])),
+                other => other.first().copied().unwrap_or_default(),
+            };
+            self.samples = self.samples.chunks(2).map(mean).collect();
+            self.averaged = self.averaged.saturating_mul(2);
+            // The present sample is the first half of a mean.
+            return;
+        }
+        self.complete();
+    }
+
+    /// Adds the mean of the samples since the last one.
+    fn complete(&mut self) {
+        let (sum, count) = std::mem::take(&mut self.sum);
+        if count > 0 {
+            self.samples.push(sum.map(|sum| sum / f64::from(count)));
+        }
+    }
 }
 
 impl Coverage {
@@ -74,8 +119,13 @@ impl Coverage {
             last: [None; COVARIATES.len()],
             speed_from: None,
             averages: BTreeMap::new(),
-            estimates: BTreeMap::new(),
+            estimates: None,
         }
+    }
+
+    /// Keeps the board's estimates, at most 65,536 means of each force.
+    pub fn with_estimates(self) -> Self {
+        Self { estimates: Some(BTreeMap::new()), ..self }
     }
 
     /// Adds a row of the board.
@@ -128,9 +178,15 @@ impl Coverage {
         ranges
     }
 
-    /// Means of the board's estimates over 10 ms.
+    /// Means of the board's estimates over 10 ms, or longer in long recordings; none without [`Self::with_estimates`].
     pub fn estimates(self) -> ForceEstimates {
-        self.estimates
+        let series = self.estimates.into_iter().flatten();
+        series
+            .map(|(key, mut series)| {
+                series.complete();
+                (key, series.samples)
+            })
+            .collect()
     }
 
     fn add(
@@ -163,7 +219,9 @@ impl Coverage {
         }
         let sample = [1e-6 * (*period * FORCE_PERIOD_US) as f64, *sum_n / f64::from(*count)];
         (*period, *sum_n, *count) = (now, newtons, 1);
-        self.estimates.entry(key).or_default().push(sample);
+        if let Some(estimates) = &mut self.estimates {
+            estimates.entry(key).or_insert(BoundedSeries::EMPTY).push(sample);
+        }
         if !self.reference.contains(&key) {
             let [_, mean_n] = sample;
             self.update_force(key, mean_n);
@@ -258,12 +316,38 @@ mod tests {
 
     #[test]
     fn estimated_forces_are_means_over_ten_milliseconds() {
-        let mut coverage = Coverage::new(250.0, Vec::new());
+        let mut coverage = Coverage::new(250.0, Vec::new()).with_estimates();
         for ms in 0..30 {
             coverage.update(&row(ms, ms as f64, Covariates::default()));
         }
         let estimates = coverage.estimates();
         // 0 to 4 ms, 5 to 14, 15 to 24.
         assert_eq!(estimates[&(3, Axis::X)], [[0.0, 2.0], [0.01, 9.5], [0.02, 19.5]]);
+    }
+
+    #[test]
+    fn estimates_of_ten_hours_are_bounded_means_without_a_gap() {
+        // A row for each mean; the force in newtons is the time in seconds.
+        let rows_of = |coverage: &mut Coverage| {
+            for tick in 0..3_600_000_u64 {
+                coverage.update(&row(10 * tick, 1e-2 * tick as f64, Covariates::default()));
+            }
+        };
+        let mut coverage = Coverage::new(250.0, Vec::new()).with_estimates();
+        rows_of(&mut coverage);
+        let estimates = coverage.estimates();
+        let counts: usize = estimates.values().map(Vec::len).sum();
+        assert!(estimates.len() == 2 && counts <= 2 * (MAX_ESTIMATES + 1), "{counts}");
+        let samples = &estimates[&(3, Axis::X)];
+        assert!(samples.len() >= MAX_ESTIMATES / 2, "{}", samples.len());
+        assert!(samples.iter().all(|[time_s, newtons]| (time_s - newtons).abs() < 1e-6));
+        // 64 averages in one mean.
+        let steps_s = samples.windows(2).map(|pair| pair[1][0] - pair[0][0]);
+        assert!(steps_s.clone().all(|step_s| step_s > 0.0 && step_s <= 0.641));
+        assert!(samples[samples.len() - 1][0] > 35_999.0);
+        let mut coverage = Coverage::new(250.0, Vec::new());
+        coverage.update(&row(0, 1.0, Covariates::default()));
+        coverage.update(&row(10, 1.0, Covariates::default()));
+        assert!(coverage.estimates().is_empty());
     }
 }

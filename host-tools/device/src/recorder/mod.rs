@@ -184,7 +184,12 @@ impl Recorder {
         self.mcap.as_mut().map_or(Ok(()), |mcap| mcap.reference(time_us, force_n))
     }
 
-    /// Writes the buffered rows except the last.
+    /// Time of the last row in microseconds.
+    pub fn elapsed_us(&self) -> u64 {
+        self.last_us
+    }
+
+    /// Writes what is buffered; call it also while no rows arrive. Messages of less than a second stay in the chunk of the MCAP file.
     ///
     /// # Errors
     /// Writing failed.
@@ -192,6 +197,9 @@ impl Recorder {
         let Some(tables) = &mut self.tables else {
             return Ok(());
         };
+        if let Some(mcap) = &mut self.mcap {
+            mcap.flush_due()?;
+        }
         let flushed = tables.both(|table| {
             table.flush()?;
             table.out().sync_data()
@@ -330,7 +338,8 @@ impl Recorder {
         }
         self.tally.rows += 1;
         let mut written = tables.hall.line(&text);
-        if self.reference.is_none() && row.time_us >= self.reference_us {
+        let without_force = self.reference.is_none() && row.time_us >= self.reference_us;
+        if without_force {
             self.reference_us = row.time_us - row.time_us % REFERENCE_US + REFERENCE_US;
             let empty = ",".repeat(2 * self.tally.sensors.len());
             written = written.and_then(|()| tables.force.line(&format!("{}{empty}", row.time_us)));
@@ -339,6 +348,10 @@ impl Recorder {
         let Some(mcap) = &mut self.mcap else { return Ok(()) };
         let time_us = row.time_us as f64;
         mcap.row(time_us, &numbers)?;
+        if without_force {
+            // An import needs the times of force.csv, too.
+            mcap.reference(time_us, &vec![f64::NAN; 2 * self.tally.sensors.len()])?;
+        }
         if row.force_n.iter().any(Option::is_some) {
             let estimates = row.force_n.map(|force_n| EstimatedForce { force_n, sigma_n: None });
             mcap.estimates(time_us, &estimates)?;
@@ -380,6 +393,7 @@ impl Tables {
         let table = |name: &str, columns: Vec<String>| -> io::Result<_> {
             let mut table = PagedWriter::new(File::create_new(folder.join(name))?);
             table.line(&columns.join(","))?;
+            table.flush()?;
             Ok(table)
         };
         let mut columns = vec!["t_us".to_owned()];

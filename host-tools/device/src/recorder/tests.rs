@@ -105,6 +105,23 @@ fn lost_rows_are_gaps_and_incomplete_rows_are_counted() {
 }
 
 #[test]
+fn header_of_the_reference_is_written_before_its_first_row() {
+    let folder = TempDir::new().unwrap();
+    let target = folder.path().join("1");
+    let columns = vec!["f0_x_n".to_owned()];
+    let mut recorder = Recorder::new(&target, description(), 1000, Some(columns)).unwrap();
+    let table = || fs::read_to_string(target.join("force.csv")).unwrap();
+    for ms in 0..=LOOK_US / 1000 {
+        recorder.take(row(ms, &[0])).unwrap();
+    }
+    assert_eq!(table(), "t_us,f0_x_n\n");
+    // One row in two seconds is not kept back until the next.
+    recorder.take_reference(1e6 + 150_000.0, &[0.5]).unwrap();
+    recorder.flush().unwrap();
+    assert_eq!(table(), "t_us,f0_x_n\n150000,0.5000\n");
+}
+
+#[test]
 fn existing_folders_and_silent_sensors_are_errors() {
     let folder = TempDir::new().unwrap();
     let taken = folder.path().join("taken");

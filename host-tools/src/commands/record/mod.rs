@@ -6,7 +6,7 @@ use analysis::reference_delay::{ReferenceAlignment, align_recording};
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering::Relaxed;
-use std::sync::mpsc::RecvTimeoutError;
+use std::sync::mpsc::{RecvTimeoutError, TryRecvError};
 use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::{Result, anyhow, bail};
@@ -30,6 +30,7 @@ mod summary;
 use crate::commands::connection::{
     GripperArgs, Reference, ReferenceArgs, interrupted, parse_seconds,
 };
+use device::control::result_code::ResultCode;
 use device::params_client;
 use device::reader::{ReaderEvent, SourceReader};
 use device::recorder::{
@@ -57,8 +58,8 @@ Examples:
   cargo magpie record --virtual -o rehearsal/1 --seconds 10 --check    # without hardware
   cargo magpie record --port /dev/ttyACM0 -o bench/5 --mcap bench-5.mcap    # also for Foxglove
 
-Ctrl-C ends the recording. A killed process leaves a valid recording up to the last second. A serial line \
-carries every tick with the covariates that the board has, a CAN bus at most every second one without them (--rate).
+Ctrl-C ends the recording. A killed process leaves a valid recording up to the last second; its MCAP file can be \
+imported up to its last whole chunk of a second. A serial line carries every tick with the covariates that the board has, a CAN bus at most every second one without them (--rate).
 
 A reference sensor sends lines of numbers; the mapping assigns their columns:
 
@@ -66,8 +67,8 @@ A reference sensor sends lines of numbers; the mapping assigns their columns:
   clock = { column = 1, unit = \"ms\" }
   columns = [{ column = 2, unit = \"N\", to = \"f0_x_n\", scale = -1 }]
 
-Its clock is aligned with the board's by the loads: vary them, or tap. Without --reference, replace force.csv by the \
-reference's table, with t_us from the same start.
+Its clock is aligned with the board's by the loads: vary them, or tap. If it ends before the recording, the exit status is \
+20. Without --reference, replace force.csv by the reference's table, with t_us from the same start.
 
 Columns mapped to yaw_rad, with or without roll_rad and pitch_rad (rad, deg) and linear_accel_x_mps2, _y_ and _z_ (m/s2, \
 g0; gripper axes, without gravity), are the pose of the arm: it is sent to the board at up to 100 Hz and recorded as the \
@@ -168,9 +169,10 @@ pub fn run(args: &Args) -> Result<()> {
     let mut progress = RecordingProgress {
         name,
         guide: plan.map(|plan| Guide::new(plan, coverage.clone())),
-        coverage,
+        coverage: if args.check { coverage.with_estimates() } else { coverage },
         forces,
         clock: ReferenceClock::default(),
+        reference_end_s: None,
         pose_sent_s: f64::NEG_INFINITY,
         poses: 0,
         // A bus carries no covariates.
@@ -196,6 +198,7 @@ pub fn run(args: &Args) -> Result<()> {
         tally: &tally,
         alignment: alignment.as_ref(),
         steps: progress.guide.as_ref().map(|guide| guide.results.as_slice()),
+        reference_end_s: progress.reference_end_s,
         poses: has_pose.then_some(progress.poses),
         check: check.as_ref(),
         is_on_bus: args.gripper.is_on_bus(),
@@ -203,7 +206,16 @@ pub fn run(args: &Args) -> Result<()> {
         is_cut: ended.as_ref().is_err_and(|error| error.is::<ConnectionLost>()),
     };
     terminal::print_result(args.json, || summary.to_json(), || summary.format())?;
-    ended.and(failed)
+    let reference = match progress.reference_end_s {
+        None => Ok(()),
+        Some(end_s) => Err(ResultCode::ReferenceEnded.error(reference_ended(end_s))),
+    };
+    ended.and(failed).and(reference)
+}
+
+/// One sentence for a person who is recording, and for the end.
+fn reference_ended(end_s: f64) -> String {
+    format!("the reference ended after {end_s:.1} s: nothing of it is recorded from then on")
 }
 
 /// One recording of a plan.
@@ -223,6 +235,8 @@ struct Summary<'a> {
     alignment: Option<&'a ReferenceAlignment>,
     /// Steps of the plan, if there was one.
     steps: Option<&'a [StepResult]>,
+    /// Time in the recording at which the reference ended, before the recording did.
+    reference_end_s: Option<f64>,
     /// Number of poses sent to the board; none where the source has none.
     poses: Option<u64>,
     check: Option<&'a CheckResult>,
@@ -272,6 +286,8 @@ struct RecordingProgress {
     /// Steps of the plan, if there is one.
     guide: Option<Guide>,
     clock: ReferenceClock,
+    /// Time in the recording at which the reference ended, before the recording did.
+    reference_end_s: Option<f64>,
     /// Time of the last pose sent to the board.
     pose_sent_s: f64,
     poses: u64,
@@ -368,7 +384,7 @@ fn write_settings(
 /// the end.
 fn write_rows(
     hearing: &SourceReader,
-    reference: Option<ReferenceReader>,
+    mut reference: Option<ReferenceReader>,
     mut rows: SensorRowAssembler,
     mut recorder: Recorder,
     recorded: &mut RecordingProgress,
@@ -438,25 +454,38 @@ fn write_rows(
             Ok(ReaderEvent::Ended) | Err(RecvTimeoutError::Disconnected) => break Ok(()),
             Err(RecvTimeoutError::Timeout) => recorder.flush()?,
         }
-        if let Some(reference) = &reference
-            && let Err(error) = take_reference(reference, hearing, recorded, &mut recorder)
-        {
-            break Err(error);
+        let Some(reader) = &reference else { continue };
+        match take_reference(reader, hearing, recorded, &mut recorder) {
+            Ok(true) => {}
+            Ok(false) => {
+                reference = None;
+                let end_s = 1e-6 * recorder.elapsed_us() as f64;
+                recorded.reference_end_s = Some(end_s);
+                spinner.suspend(|| eprintln!("Note: {}.", reference_ended(end_s)));
+            }
+            Err(error) => break Err(error),
         }
     };
     finish(recorder, ended, &spinner)
 }
 
-/// Writes the forces of the rows of the reference that have arrived, and sends the newest pose to the board.
+/// Writes the forces of the rows of the reference that have arrived, and sends the newest pose to the board; returns false once the
+/// reference has ended.
 fn take_reference(
     reference: &ReferenceReader,
     hearing: &SourceReader,
     recorded: &mut RecordingProgress,
     recorder: &mut Recorder,
-) -> Result<()> {
-    let mut newest = None;
-    for row in reference.rows.try_iter().take(MAX_WAITING_ROWS) {
-        let row = row?;
+) -> Result<bool> {
+    let (mut newest, mut goes_on) = (None, true);
+    for _ in 0..MAX_WAITING_ROWS {
+        let row = match reference.rows.try_recv() {
+            Ok(row) => row?,
+            Err(error) => {
+                goes_on = error == TryRecvError::Empty;
+                break;
+            }
+        };
         newest = Some((row.pose, row.at_s));
         if let Some(board_us) = recorded.clock.board_us(row.at_s, row.clock_s)
             && !row.force_n.is_empty()
@@ -473,7 +502,7 @@ fn take_reference(
     if let Some((pose, at_s)) = newest.filter(|(pose, _)| *pose != HostPose::default()) {
         recorded.send_pose(hearing, pose, at_s);
     }
-    Ok(())
+    Ok(goes_on)
 }
 
 /// Closes the recording. If it is empty, the reason of the end is the error.

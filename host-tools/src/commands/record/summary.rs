@@ -16,6 +16,7 @@ impl Summary<'_> {
             tally,
             alignment,
             steps,
+            reference_end_s,
             poses,
             check,
             is_on_bus,
@@ -113,6 +114,12 @@ impl Summary<'_> {
             )
         }),
     });
+        if let Some(end_s) = reference_end_s {
+            text += &terminal::paragraph(&format!(
+                "Incomplete: the reference ended after {end_s:.1} s of {:.1} s.",
+                seconds(tally.span_us)
+            ));
+        }
         if let Some(poses) = poses {
             text += &terminal::paragraph(&match tally.covariates.contains(&"yaw_rad") {
                 true => format!("Pose: {poses} samples sent to the board."),
@@ -126,7 +133,9 @@ impl Summary<'_> {
 
     /// As one JSON object.
     pub(super) fn to_json(&self) -> Value {
-        let Self { output, start_s, tally, alignment, steps, poses, check, .. } = *self;
+        let Self {
+            output, start_s, tally, alignment, steps, reference_end_s, poses, check, ..
+        } = *self;
         json!({
             "recording": output,
             "start_s": start_s,
@@ -143,6 +152,7 @@ impl Summary<'_> {
             "rows_without_covariates": tally.without_covariates,
             "silent_rows": tally.silent,
             "reference": alignment.is_some(),
+            "reference_ended_s": reference_end_s,
             "steps": steps.map(|steps| steps.iter().map(step_json).collect::<Vec<_>>()),
             "pose_messages": poses,
             "check": check.map(check_json),

@@ -84,7 +84,7 @@ const AS_FAST: f64 = 0.9;
 /// Tables of a bag: of the topics with a force, and of the others. Each has the clock of a table of the `first` bag, or of the
 /// fastest topic, the first of these by name.
 fn read_bag(path: &Path, first: &[SourceTable]) -> Result<Vec<SourceTable>, DataError> {
-    let mut topics = mcap::read_topics(path, |_| true, Undecodable::Skip)?;
+    let mut topics = mcap::read_topics(path, |_| true, Undecodable::Skip)?.topics;
     topics.sort_by(|a, b| a.name.cmp(&b.name));
     let has = |topic: &Topic, quantity: Quantity| {
         let mut names = topic.columns.iter().map(|column| topic.column_name(&column.path));

@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 use crate::input::MAX_COLUMNS;
 use crate::recordings::csv_table::GAP_STEPS;
 use crate::recordings::description::JoinedChannel;
-use crate::recordings::error::{DataError, ErrorKind, Location, closest_match};
+use crate::recordings::error::{DataError, ErrorKind, Location, Notice, closest_match};
 use crate::recordings::units::round_significant;
 use decode::Decoder;
 use limits::{Contents, Deadline, check_topics, check_values, max_values, total_bytes};
@@ -236,11 +236,15 @@ pub enum Undecodable {
 /// Messages of a file.
 type Messages<'a> = Box<dyn Iterator<Item = Result<mcap::Message<'static>, DataError>> + 'a>;
 
-/// Messages of a file.
-fn messages(file: &Path, deadline: Deadline) -> Result<Messages<'_>, DataError> {
+/// Messages of a file; that it was cut off is added to `notices`.
+fn messages<'a>(
+    file: &'a Path,
+    deadline: Deadline,
+    notices: &'a mut Vec<Notice>,
+) -> Result<Messages<'a>, DataError> {
     Ok(match is_named(file, "db3") {
         true => Box::new(SqliteMessages::open(file, deadline)?),
-        false => Box::new(McapMessages::open(file)?),
+        false => Box::new(McapMessages::open(file, notices)?),
     })
 }
 
@@ -249,7 +253,16 @@ fn bag_bytes(path: &Path) -> Result<u64, DataError> {
     Ok(total_bytes(files(path)?.iter().map(PathBuf::as_path)))
 }
 
-/// Reads the wanted topics of a bag.
+/// Topics of a bag.
+#[derive(Debug)]
+pub struct BagTopics {
+    /// Topics with messages.
+    pub topics: Vec<Topic>,
+    /// Files that were cut off.
+    pub notices: Vec<Notice>,
+}
+
+/// Reads the wanted topics of a bag. MCAP files that were cut off are read up to their last whole chunk.
 ///
 /// # Errors
 /// The bag cannot be read, is damaged, or is beyond a limit; a wanted message cannot be decoded.
@@ -257,16 +270,17 @@ pub fn read_topics(
     path: &Path,
     is_wanted: impl Fn(&str) -> bool,
     undecodable: Undecodable,
-) -> Result<Vec<Topic>, DataError> {
+) -> Result<BagTopics, DataError> {
     let bytes = bag_bytes(path)?;
     let (mut contents, deadline) = (Contents::new(bytes), Deadline::new(bytes));
     // `None` for a topic that is left out.
     let mut topics: Vec<Option<TopicReader>> = Vec::new();
     let mut numbers: HashMap<String, usize> = HashMap::new();
+    let mut notices = Vec::new();
     for file in files(path)? {
         // Decoder and topic by channel.
         let mut channels: HashMap<u16, Option<(Decoder, usize)>> = HashMap::new();
-        for message in messages(&file, deadline)? {
+        for message in messages(&file, deadline, &mut notices)? {
             let message = message?;
             let channel = &message.channel;
             let at_file = |kind: ErrorKind| kind.at(Location::file(&file));
@@ -316,7 +330,8 @@ pub fn read_topics(
             }
         }
     }
-    Ok(topics.into_iter().flatten().map(TopicReader::finish).collect())
+    let topics = topics.into_iter().flatten().map(TopicReader::finish).collect();
+    Ok(BagTopics { topics, notices })
 }
 
 /// The mapping with which `import` reads a file of this project; `None` for files of others.
@@ -329,7 +344,7 @@ pub fn stated_mapping(path: &Path) -> Result<Option<String>, DataError> {
     };
     // The writer of this project begins with a message of the topic that states it.
     let deadline = Deadline::new(bag_bytes(path)?);
-    let first = messages(&file, deadline)?.next().transpose()?;
+    let first = messages(&file, deadline, &mut Vec::new())?.next().transpose()?;
     Ok(first.and_then(|message| message.channel.metadata.get(MAPPING_KEY).cloned()))
 }
 

@@ -66,7 +66,7 @@ pub struct TopicColumns<'a> {
 }
 
 impl RecordingMcap {
-    /// Creates the file.
+    /// Creates the file with its topics.
     ///
     /// # Errors
     /// It exists or cannot be created.
@@ -77,7 +77,17 @@ impl RecordingMcap {
     ) -> Result<Self, DataError> {
         let mapping = mapping(path, description, columns.hall, columns.force)?;
         let writer = McapWriter::create(path)?;
-        Self::new(writer, columns, Some(&mapping), 1e6 * description.start_s)
+        let mut file = Self::new(writer, columns, Some(&mapping), 1e6 * description.start_s)?;
+        file.sink.flush()?;
+        Ok(file)
+    }
+
+    /// Writes the messages so far to the file if the first of them is a second old.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn flush_due(&mut self) -> Result<(), DataError> {
+        self.sink.flush_due()
     }
 
     /// Completes the file.

@@ -4,7 +4,7 @@
 use std::borrow::Cow;
 use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
-use std::io::{self, BufReader, Read};
+use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -13,7 +13,7 @@ use mcap::records::op;
 use mcap::{Channel, MAGIC, Message, Schema};
 
 use crate::input::{self, MAX_RATIO, MAX_ROW_BYTES, max_decompressed};
-use crate::recordings::error::{DataError, ErrorKind, Location};
+use crate::recordings::error::{DataError, ErrorKind, Location, Notice};
 use crate::recordings::mcap::limits::{self, MAX_RECORD_BYTES};
 
 /// Bytes before the content of a record: its kind and its length.
@@ -22,6 +22,8 @@ const RECORD_HEADER: u64 = 9;
 /// Why a file is not read further.
 enum Fault {
     Damaged(String),
+    /// The file ends within a record.
+    Cut(String),
     Limit(ErrorKind),
 }
 
@@ -37,7 +39,8 @@ impl From<io::Error> for Fault {
     }
 }
 
-/// Messages of a file in its order, with the checksums of its chunks verified. Ends after the first error.
+/// Messages of a file in its order, with the checksums of its chunks verified. Ends after the first error, and where the file was cut
+/// off: recorders that are killed write no end.
 pub struct McapMessages<'a> {
     path: &'a Path,
     file: BufReader<File>,
@@ -52,15 +55,23 @@ pub struct McapMessages<'a> {
     is_begun: bool,
     is_past_data: bool,
     is_ended: bool,
+    /// The file has no mark at its end.
+    is_cut: bool,
+    /// Times in nanoseconds of the first and the last message.
+    extent_ns: Option<[u64; 2]>,
+    notices: &'a mut Vec<Notice>,
 }
 
 impl<'a> McapMessages<'a> {
+    /// That a file was cut off is added to `notices`.
+    ///
     /// # Errors
     /// The file cannot be opened.
-    pub fn open(path: &'a Path) -> Result<Self, DataError> {
-        let file = input::open(path)?;
+    pub fn open(path: &'a Path, notices: &'a mut Vec<Notice>) -> Result<Self, DataError> {
+        let mut file = input::open(path)?;
         let unreadable = |error| ErrorKind::Unreadable(error).at(Location::file(path));
         let left = file.metadata().map_err(unreadable)?.len();
+        let is_cut = !ends_in_magic(&mut file, left).map_err(unreadable)?;
         Ok(Self {
             path,
             file: BufReader::new(file),
@@ -72,6 +83,9 @@ impl<'a> McapMessages<'a> {
             is_begun: false,
             is_past_data: false,
             is_ended: false,
+            is_cut,
+            extent_ns: None,
+            notices,
         })
     }
 
@@ -106,6 +120,15 @@ impl<'a> McapMessages<'a> {
         }
     }
 
+    fn cut_notice(&self) -> Option<Notice> {
+        let [first_ns, last_ns] = self.extent_ns?;
+        let message = format!(
+            "the file was cut off, as when a recorder is killed: it was read up to its last whole chunk, {:.3} s after its first message",
+            1e-9 * last_ns.saturating_sub(first_ns) as f64
+        );
+        Some(Notice { location: Location::file(self.path), message })
+    }
+
     fn read_magic(&mut self) -> Result<(), Fault> {
         if self.take(MAGIC.len() as u64)? != MAGIC {
             return Err("it does not begin and end with the mark of MCAP".into());
@@ -116,12 +139,12 @@ impl<'a> McapMessages<'a> {
     /// So many bytes of the file.
     fn take(&mut self, count: u64) -> Result<Vec<u8>, Fault> {
         let left = self.left.checked_sub(count);
-        self.left = left.ok_or("a length exceeds the file")?;
+        self.left = left.ok_or_else(|| Fault::Cut("a length exceeds the file".to_owned()))?;
         // Allocates as it reads: the file may have become shorter.
         let mut bytes = Vec::new();
         (&mut self.file).take(count).read_to_end(&mut bytes)?;
         if (bytes.len() as u64) < count {
-            return Err("it ends too early".into());
+            return Err(Fault::Cut("it ends too early".to_owned()));
         }
         Ok(bytes)
     }
@@ -131,7 +154,7 @@ impl<'a> McapMessages<'a> {
         let header = self.take(RECORD_HEADER)?;
         let (kind, length) = record_header(&header).ok_or("a record without a length")?;
         if length > self.left {
-            return Err(format!("a record of {length} bytes exceeds the file").as_str().into());
+            return Err(Fault::Cut(format!("a record of {length} bytes exceeds the file")));
         }
         let is_needed = matches!(kind, op::SCHEMA | op::CHANNEL | op::MESSAGE | op::CHUNK);
         if !is_needed || self.is_past_data {
@@ -241,16 +264,36 @@ impl Iterator for McapMessages<'_> {
         if self.is_ended {
             return None;
         }
-        let message = self.next_message().map_err(|fault| {
-            let kind = match fault {
-                Fault::Damaged(reason) => ErrorKind::DamagedMcap(reason),
-                Fault::Limit(kind) => kind,
-            };
-            kind.at(Location::file(self.path))
-        });
+        let at_file = |kind: ErrorKind| Err(kind.at(Location::file(self.path)));
+        let message = match self.next_message() {
+            Ok(message) => Ok(message),
+            Err(Fault::Cut(_)) if self.is_cut && self.extent_ns.is_some() => {
+                self.notices.extend(self.cut_notice());
+                Ok(None)
+            }
+            Err(Fault::Cut(reason) | Fault::Damaged(reason)) => {
+                at_file(ErrorKind::DamagedMcap(reason))
+            }
+            Err(Fault::Limit(kind)) => at_file(kind),
+        };
+        if let Ok(Some(message)) = &message {
+            let time_ns = message.log_time;
+            let [first_ns, last_ns] = self.extent_ns.unwrap_or([time_ns; 2]);
+            self.extent_ns = Some([first_ns.min(time_ns), last_ns.max(time_ns)]);
+        }
         self.is_ended = !matches!(message, Ok(Some(_)));
         message.transpose()
     }
+}
+
+/// Whether a file of this length ends as a complete one; it is then at its start again.
+fn ends_in_magic(file: &mut File, length: u64) -> io::Result<bool> {
+    let Some(start) = length.checked_sub(MAGIC.len() as u64) else { return Ok(false) };
+    file.seek(SeekFrom::Start(start))?;
+    let mut end = Vec::new();
+    file.take(MAGIC.len() as u64).read_to_end(&mut end)?;
+    file.rewind()?;
+    Ok(end == MAGIC)
 }
 
 /// Kind and length of a record.

@@ -5,6 +5,8 @@ use std::fs::File;
 
 use tempfile::TempDir;
 
+use mcap::MAGIC;
+
 use super::*;
 use crate::recordings::description::RecordingDescription;
 
@@ -29,7 +31,7 @@ fn write(path: &Path, messages: &[(Sent<'_>, u64, Vec<u8>)]) {
 }
 
 fn all(path: &Path) -> Vec<Topic> {
-    read_topics(path, |_| true, Undecodable::Refuse).unwrap()
+    read_topics(path, |_| true, Undecodable::Refuse).unwrap().topics
 }
 
 /// As `rosbags` writes the type, shortened.
@@ -209,6 +211,69 @@ fn recording_round_trips_bit_by_bit() {
     assert_eq!(stated_mapping(&other).unwrap(), None);
 }
 
+/// A recording of 3.5 s with its flushed length after each row of 1 ms, not completed.
+fn cut_recording(path: &Path) -> Vec<u64> {
+    let description = RecordingDescription::new("", 600.0);
+    let hall = ["s0_x_lsb".to_owned()];
+    let columns = TopicColumns { hall: &hall, force: &[], sensors: &[0], state: &[] };
+    let mut file = RecordingMcap::create(path, &description, columns).unwrap();
+    let length = || path.metadata().unwrap().len();
+    let mut lengths = vec![length()];
+    for ms in 0..3500 {
+        file.board(1e3 * f64::from(ms), &[f64::from(ms)]).unwrap();
+        lengths.push(length());
+    }
+    lengths
+}
+
+#[test]
+fn topics_and_each_second_are_in_the_file_at_once() {
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("a.mcap");
+    let lengths = cut_recording(&path);
+    let start = std::fs::read(&path).unwrap()[..lengths[0] as usize].to_vec();
+    assert!(start.starts_with(MAGIC) && lengths[0] > 100, "{lengths:?}");
+    // A slow machine ends chunks earlier.
+    let ends: Vec<usize> =
+        (1..lengths.len()).filter(|row| lengths[*row] > lengths[row - 1]).collect();
+    assert!(ends.len() >= 3, "{ends:?}");
+    assert!([0].iter().chain(&ends).zip(&ends).all(|(a, b)| b - a <= 1001), "{ends:?}");
+}
+
+#[test]
+fn cut_recording_is_read_up_to_its_last_whole_chunk() {
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("a.mcap");
+    let lengths = cut_recording(&path);
+    let whole = std::fs::read(&path).unwrap();
+    // Dropping the writer has completed the file.
+    assert_eq!(&whole[whole.len() - MAGIC.len()..], MAGIC);
+    let read = |length: usize| {
+        std::fs::write(&path, &whole[..length]).unwrap();
+        read_topics(&path, |_| true, Undecodable::Refuse)
+    };
+    for length in (0..whole.len()).step_by(97).chain([whole.len() - 1]) {
+        // Rows of the chunks that were in the file when it had this length.
+        let flushed = lengths.iter().rposition(|end| *end <= length as u64).unwrap_or(0);
+        let flushed = lengths.iter().position(|end| *end == lengths[flushed]).unwrap_or(0);
+        let rows = flushed.saturating_sub(1);
+        let BagTopics { topics, notices } = match read(length) {
+            Ok(read) => read,
+            Err(error) => {
+                assert!(rows == 0 && error.to_string().contains("mcap recover"), "{error}");
+                continue;
+            }
+        };
+        let values = topics[0].values("s0_x_lsb").unwrap();
+        assert!(values.len() >= rows.max(1), "{length}: {} of {rows}", values.len());
+        let last_s = 1e-3 * values[values.len() - 1];
+        let [notice] = &notices[..] else { panic!("{length}: {notices:?}") };
+        let expected = format!("its last whole chunk, {last_s:.3} s after its first message");
+        assert!(notice.message.contains(&expected), "{notice}");
+    }
+    assert!(read(whole.len()).unwrap().notices.is_empty());
+}
+
 #[test]
 fn files_that_cannot_be_read_are_refused_with_a_remedy() {
     let folder = TempDir::new().unwrap();
@@ -218,7 +283,12 @@ fn files_that_cannot_be_read_are_refused_with_a_remedy() {
     let data = magnetic_field(1, 2, [0.0; 3]);
     write(&path, &[(MAG, 1, data.clone())]);
     let whole = std::fs::read(&path).unwrap();
-    std::fs::write(&path, &whole[..whole.len() - 40]).unwrap();
+    // Without its first whole chunk, and with a record that is longer than the file.
+    std::fs::write(&path, &whole[..100]).unwrap();
+    assert!(message(&path).contains("mcap recover"), "{}", message(&path));
+    let mut damaged = whole.clone();
+    damaged[MAGIC.len() + 2] = 1;
+    std::fs::write(&path, &damaged).unwrap();
     assert!(message(&path).contains("mcap recover"), "{}", message(&path));
     std::fs::write(&path, b"t,x\n1,2\n").unwrap();
     assert!(message(&path).contains("damaged"), "{}", message(&path));
@@ -230,7 +300,7 @@ fn files_that_cannot_be_read_are_refused_with_a_remedy() {
     );
     write(&path, &[(("/cam", "x", "ros1msg", "", "ros1"), 1, vec![0])]);
     assert!(message(&path).contains("\"ros1\""), "{}", message(&path));
-    assert!(read_topics(&path, |_| true, Undecodable::Skip).unwrap().is_empty());
+    assert!(read_topics(&path, |_| true, Undecodable::Skip).unwrap().topics.is_empty());
     let text = folder.path().join("a.db3");
     std::fs::write(&text, "t,x\n1,2\n").unwrap();
     assert!(message(&text).contains("ros2 bag reindex"), "{}", message(&text));

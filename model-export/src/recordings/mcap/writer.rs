@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
 use mcap::records::MessageHeader;
 
@@ -97,10 +98,15 @@ pub struct TopicId {
     sequence: u32,
 }
 
-/// A file being written.
+/// Duration of a chunk: what a killed program loses.
+const CHUNK: Duration = Duration::from_secs(1);
+
+/// A file being written. A chunk reaches the file as a whole, when it is complete.
 pub struct McapWriter {
     path: PathBuf,
     writer: mcap::Writer<BufWriter<File>>,
+    /// Time of the first message of the chunk, and when it was written; `None` in an empty one.
+    chunk: Option<(u64, Instant)>,
 }
 
 impl McapWriter {
@@ -114,10 +120,30 @@ impl McapWriter {
         let options = mcap::WriteOptions::new()
             .profile("ros2")
             .library(format!("magpie {}", env!("CARGO_PKG_VERSION")))
-            .compression(Some(mcap::Compression::Zstd));
+            .compression(Some(mcap::Compression::Zstd))
+            // The header of a chunk is not written before its content.
+            .disable_seeking(true);
         let writer =
             options.create(BufWriter::new(file)).map_err(|error| unwritable(path, error))?;
-        Ok(Self { path: path.to_path_buf(), writer })
+        Ok(Self { path: path.to_path_buf(), writer, chunk: None })
+    }
+
+    /// Ends a chunk that was begun a second ago, also if no message follows.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn flush_due(&mut self) -> Result<(), DataError> {
+        let is_due = self.chunk.is_some_and(|(_, begun)| begun.elapsed() >= CHUNK);
+        if is_due { self.flush() } else { Ok(()) }
+    }
+
+    /// Ends the chunk, so that its messages, schemas and channels are in the file.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn flush(&mut self) -> Result<(), DataError> {
+        self.chunk = None;
+        self.writer.flush().map_err(|error| unwritable(&self.path, error))
     }
 
     /// Completes the file.
@@ -155,6 +181,12 @@ impl TopicSink for McapWriter {
             publish_time: time_ns,
         };
         topic.sequence = topic.sequence.wrapping_add(1);
+        let is_long =
+            |first_ns: u64| u128::from(time_ns.saturating_sub(first_ns)) >= CHUNK.as_nanos();
+        if self.chunk.is_some_and(|(first_ns, _)| is_long(first_ns)) {
+            self.flush()?;
+        }
+        self.chunk.get_or_insert_with(|| (time_ns, Instant::now()));
         self.writer
             .write_to_known_channel(&header, &NumberTopic::encode(values))
             .map_err(|error| unwritable(&self.path, error))

@@ -108,7 +108,8 @@ fn nested(levels: usize, fields: &str) -> String {
 }
 
 fn read_all(path: &Path, undecodable: Undecodable) -> Result<Vec<Topic>, String> {
-    let topics = read_topics(path, |_| true, undecodable).map_err(|error| error.to_string())?;
+    let read = read_topics(path, |_| true, undecodable).map_err(|error| error.to_string())?;
+    let topics = read.topics;
     for topic in &topics {
         assert!(topic.columns.iter().all(|column| column.values.len() == topic.messages()));
     }
