@@ -636,7 +636,8 @@ fn table_without_a_field_or_clock_is_refused() {
         ("bx_G,by_G,bz_G\n1,2,3\n1,2,3\n", "no column increases in every row"),
         ("t_s,hall_1,hall_2\n1,2,3\n2,3,4\n", "a table without a magnetic field"),
         ("t_s,HallLeft_Bn_mT\n1,2\n2,3\n", "without its axis is not allowed here; put x, y or z"),
-        ("time,bx_G,by_G,bz_G\n2026-01-01T00:00:00Z,1,2,3\n", "the times in time are text"),
+        // The third of January, or the first of March?
+        ("time,bx_G,by_G,bz_G\n01/03/2026 00:00:00,1,2,3\n", "the times in time are text"),
         // A sensor of two axes.
         ("bx_G;by_G\n1;2\n", "no column increases in every row"),
         ("t_s,bx_G,by_G,bz_G\n", "there are no rows"),

@@ -634,10 +634,11 @@ impl Draft {
         let rate_hz = find_unit(unit).map_or(f64::NAN, |unit| 1e6 / (step * unit.factor));
         let mut checks = Vec::new();
         if stated.is_none() {
-            checks.push(format!(
-                "no unit: taken as {unit}, which makes {} rows per second",
-                short(rate_hz)
-            ));
+            let rate = match column.steps.as_slice() {
+                [] => String::new(),
+                _ => format!(", which makes {} rows per second", short(rate_hz)),
+            };
+            checks.push(format!("no unit: taken as {unit}{rate}"));
         }
         if column.quantity != Quantity::Time {
             checks.push("taken as the clock, since it increases in every row".to_owned());
