@@ -230,10 +230,16 @@ def live(browser, magpie, folder, name):
     page.fill("#record-output", "recorded/1")
     page.click("#record-form button[type=submit]")
     page.wait_for_function("() => document.querySelector('#record-lines').innerText.includes('Recording.')")
+    # The header is written before the first row; a busy machine takes seconds to start the program.
+    table = server.folder / "recorded" / "1" / "hall.csv"
+    for _ in range(150):
+        if table.exists():
+            break
+        page.wait_for_timeout(200)
     page.wait_for_timeout(2500)
     page.click("#record-end")
     page.wait_for_function("() => document.querySelector('#record-lines').innerText.includes('has ended')")
-    rows = len((server.folder / "recorded" / "1" / "hall.csv").read_text().splitlines())
+    rows = len(table.read_text().splitlines())
     tab.check(rows > 500, f"{rows} rows were recorded: {page.inner_text('#record-lines')}")
     # Recordings that are added are fitted after a click.
     recordings = "#view #recording option"
