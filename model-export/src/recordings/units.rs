@@ -74,6 +74,37 @@ pub fn find_unit(name: &str) -> Option<Unit> {
     UNITS.iter().copied().find(|unit| unit.name == name)
 }
 
+/// The unit with this symbol or word as people write it, such as `sec` or `Gauss`, with micro and degree signs.
+pub fn unit_of_text(text: &str) -> Option<Unit> {
+    let symbol = text.replace(['\u{b5}', '\u{3bc}'], "u").replace('\u{b0}', "deg");
+    let name = match symbol.to_lowercase().as_str() {
+        "sec" | "secs" | "second" | "seconds" => "s",
+        "msec" | "millis" | "milliseconds" => "ms",
+        "usec" | "micros" | "microseconds" => "us",
+        "nsec" | "nanos" | "nanoseconds" => "ns",
+        "count" | "counts" | "raw" | "adc" => "lsb",
+        "tesla" => "T",
+        "newton" | "newtons" => "N",
+        "gram" | "grams" | "gf" => "g",
+        "lbs" | "lb" => "lbf",
+        "c" | "degc" | "celsius" => "degC",
+        "amp" | "amps" | "ampere" | "amperes" => "A",
+        "radians" => "rad",
+        "degree" | "degrees" => "deg",
+        "radps" | "rads" => "rad/s",
+        "dps" | "degps" => "deg/s",
+        "percent" | "pct" => "%",
+        "mps2" | "ms2" | "m/s^2" | "m/s\u{b2}" => "m/s2",
+        _ => symbol.as_str(),
+    };
+    /// Symbols that are clear in another case.
+    const ANY_CASE: [&str; 15] = [
+        "s", "ms", "us", "ns", "lsb", "uT", "nT", "gauss", "N", "kN", "kg", "mm", "A", "rad", "deg",
+    ];
+    let other_case = || ANY_CASE.into_iter().find(|unit| unit.eq_ignore_ascii_case(&symbol));
+    find_unit(name).or_else(|| find_unit(other_case()?))
+}
+
 /// Symbol of the unit that columns with this suffix are in, for example `V` for `v`.
 pub fn symbol(canonical: &str) -> Option<&'static str> {
     let unit = UNITS.iter().find(|unit| unit.canonical == canonical && unit.factor == 1.0);

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use crate::recordings::units::{Unit, find_unit};
+use crate::recordings::units::{Unit, find_unit, unit_of_text};
 
 /// Physical quantity of a column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -105,45 +105,20 @@ fn split_unit(name: &str) -> (&str, Option<Unit>) {
 /// Unit with this symbol or word; a `g` and a `T` of another case are decided by the quantity.
 fn unit_named(stem: &str, text: &str) -> Option<Unit> {
     let quantity = quantity_of(&words(stem)).0;
-    let symbol = text.replace(['\u{b5}', '\u{3bc}'], "u").replace('\u{b0}', "deg");
-    let name = match (symbol.to_lowercase().as_str(), quantity) {
-        ("g", Quantity::Field) => "G",
-        ("g", Quantity::Acceleration) => "g0",
-        ("sec" | "secs" | "second" | "seconds", _) => "s",
-        ("msec" | "millis" | "milliseconds", _) => "ms",
-        ("usec" | "micros" | "microseconds", _) => "us",
-        ("nsec" | "nanos" | "nanoseconds", _) => "ns",
-        ("count" | "counts" | "raw" | "adc", _) => "lsb",
-        ("tesla", _) => "T",
-        ("newton" | "newtons", _) => "N",
-        ("gram" | "grams" | "gf", _) => "g",
-        ("lbs" | "lb", _) => "lbf",
-        ("c" | "degc" | "celsius", _) => "degC",
-        ("amp" | "amps" | "ampere" | "amperes", _) => "A",
-        ("radians", _) => "rad",
-        ("degree" | "degrees", _) => "deg",
+    let by_quantity = match (text.to_lowercase().as_str(), quantity) {
+        ("g", Quantity::Field) => Some("G"),
+        ("g", Quantity::Acceleration) => Some("g0"),
         (
             "nm" | "n m" | "n\u{b7}m",
             Quantity::Unsupported | Quantity::Field | Quantity::Unknown,
-        ) => "N m",
-        ("radps" | "rads", _) => "rad/s",
-        ("dps" | "degps", _) => "deg/s",
-        ("percent" | "pct", _) => "%",
-        ("mps2" | "ms2" | "m/s^2" | "m/s\u{b2}", _) => "m/s2",
-        _ => symbol.as_str(),
+        ) => Some("N m"),
+        _ => None,
     };
-    let other_case = || {
-        let units = [
-            "s", "ms", "us", "ns", "lsb", "uT", "nT", "gauss", "N", "kN", "kg", "mm", "A", "rad",
-            "deg",
-        ];
-        units.into_iter().find(|unit| unit.eq_ignore_ascii_case(&symbol)).and_then(find_unit)
-    };
-    let unit = find_unit(name).or_else(other_case)?;
+    let unit = by_quantity.map_or_else(|| unit_of_text(text), find_unit)?;
     // Longer symbols are clear. One letter may be another word: the third channel `channel_c`, a force at the time `force_t`.
-    let is_letter = symbol.chars().count() == 1;
+    let is_letter = text.chars().count() == 1;
     let is_other = match quantity {
-        Quantity::Unknown => !matches!(symbol.as_str(), "m" | "s" | "A" | "N" | "T" | "G"),
+        Quantity::Unknown => !matches!(text, "m" | "s" | "A" | "N" | "T" | "G"),
         Quantity::Unsupported => false,
         // `T1_C`: not a time, but a temperature.
         Quantity::Time if unit.canonical == "c" => false,

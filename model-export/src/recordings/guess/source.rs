@@ -169,8 +169,9 @@ fn read_rows(
     });
     let has_forces = columns.iter().filter(|column| column.quantity == Quantity::Force).count() > 1;
     for column in &mut columns {
-        // A clock increases.
-        if column.name == "T" && !column.is_ascending {
+        // A clock increases; the same letter is a temperature.
+        if column.quantity == Quantity::Time && column.stated.words == ["t"] && !column.is_ascending
+        {
             column.quantity = Quantity::Temperature;
         }
         let is_moment =
