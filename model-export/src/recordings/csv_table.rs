@@ -9,7 +9,7 @@ use crate::input::{
     MAX_TIME_US, TableLimit,
 };
 use crate::recordings::error::{DataError, ErrorKind, Location, Notice};
-use crate::recordings::table_format::{EXAMINED_BYTES, TableFormat, text_of};
+use crate::recordings::table_format::{EXAMINED_BYTES, SEPARATORS, TableFormat, text_of};
 
 /// A row of numbers; an empty cell is NaN.
 #[derive(Clone, Debug, PartialEq)]
@@ -44,9 +44,6 @@ pub struct CsvReader {
     format: TableFormat,
     is_at_header: bool,
 }
-
-/// Separators of foreign tables besides the comma.
-const FOREIGN_SEPARATORS: [char; 2] = [';', '\t'];
 
 /// Number of rows from which the typical period of a clock is estimated.
 pub const PERIOD_ROWS: usize = 1000;
@@ -165,12 +162,6 @@ impl CsvReader {
         }
         Ok(found)
     }
-}
-
-/// The separator of a table whose header seems to have one column; `None` where it has several, or is one.
-fn foreign_separator(header: &[String]) -> Option<char> {
-    let [only] = header else { return None };
-    FOREIGN_SEPARATORS.into_iter().find(|separator| only.contains(*separator))
 }
 
 /// Bytes of a regular file, decompressed where its name ends in `.gz`.
@@ -292,7 +283,11 @@ impl CsvTable {
             return Err(ErrorKind::NotText.at(place));
         }
         let header = column_names(&record);
-        if let Some(separator) = foreign_separator(&header) {
+        // The first one is that of the project.
+        let mut separators = SEPARATORS.map(char::from).into_iter().skip(1);
+        if let [only] = header.as_slice()
+            && let Some(separator) = separators.find(|other| only.contains(*other))
+        {
             return Err(ErrorKind::WrongSeparator { separator }.at(place));
         }
         let mut before = BTreeSet::new();

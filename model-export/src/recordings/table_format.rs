@@ -10,14 +10,14 @@ use std::fmt::Write as _;
 use jiff::Timestamp;
 use jiff::civil::{Date, DateTime, Time};
 
-use crate::recordings::units::find_unit;
+use crate::recordings::units::unit_of_text;
 
 /// Bytes at the start of a table that are examined.
 pub const EXAMINED_BYTES: u64 = 1 << 16;
 /// Records of these at most.
 const EXAMINED_RECORDS: usize = 1000;
-/// Separators of cells; among equally regular ones the first.
-const SEPARATORS: [u8; 3] = *b",;\t";
+/// Separators of cells; among equally regular ones the first, which is that of this project.
+pub const SEPARATORS: [u8; 3] = *b",;\t";
 /// Consecutive rows of numbers below a header: a line about the logger has a number too.
 const DATA_ROWS: usize = 3;
 /// Forms of a date with a time of day besides ISO 8601. Where day and month cannot be distinguished, the cell stays text.
@@ -155,6 +155,7 @@ impl TableFormat {
 /// Where header and rows are if a separator is the right one.
 struct Layout {
     separator: u8,
+    certainty: Certainty,
     width: usize,
     header: usize,
     has_units: bool,
@@ -162,7 +163,7 @@ struct Layout {
 }
 
 impl Layout {
-    /// `None` if the separator yields no rows of numbers below a header.
+    /// `None` if the separator yields one column.
     fn of(start: &[u8], is_whole: bool, separator: u8) -> Option<Self> {
         let mut reader = csv::ReaderBuilder::new()
             .has_headers(false)
@@ -186,21 +187,39 @@ impl Layout {
                 && records[first - 1].len() == width
                 && !records[first - 1].iter().any(is_value)
                 && records[first..end].iter().all(|record| is_row(record, width))
-        })?;
-        let width = records[first_row].len();
-        let rows = records.split_off(first_row);
+        });
+        let width = records.get(first_row.unwrap_or(0))?.len();
+        if width < 2 {
+            return None;
+        }
+        let certainty = match first_row {
+            Some(_) => Certainty::TextAboveNumbers,
+            None if records.iter().all(|record| record.len() == width) => Certainty::OneWidth,
+            None => Certainty::FirstRecord,
+        };
+        let rows = records.split_off(first_row.unwrap_or(1).min(records.len()));
         let has_units = match &records[..] {
             [.., names, units] => names.len() == width && is_row_of_units(units),
             _ => false,
         };
-        let header = first_row - 1 - usize::from(has_units);
+        let header = records.len() - 1 - usize::from(has_units);
         let rows = rows.into_iter().filter(|record| record.len() == width).collect();
-        Some(Self { separator, width, header, has_units, rows })
+        Some(Self { separator, certainty, width, header, has_units, rows })
     }
 
-    fn rank(&self) -> (usize, usize) {
-        (self.rows.len(), self.width)
+    fn rank(&self) -> (Certainty, usize, usize) {
+        (self.certainty, self.rows.len(), self.width)
     }
+}
+
+/// What a layout is taken from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Certainty {
+    /// The first record is the header: what does not fit it is named by the reader.
+    FirstRecord,
+    /// All records have as many cells, and the header is not text alone.
+    OneWidth,
+    TextAboveNumbers,
 }
 
 /// Whether a cell is a number in any format, or a time.
@@ -221,11 +240,8 @@ fn unit_in(cell: &[u8]) -> Option<String> {
 /// Whether most stated units of a row are known.
 fn is_row_of_units(record: &csv::ByteRecord) -> bool {
     let stated: Vec<String> = record.iter().filter_map(unit_in).collect();
-    let is_known = |unit: &&String| {
-        let symbol = unit.replace(['\u{b5}', '\u{3bc}'], "u").replace('\u{b0}', "deg");
-        find_unit(&symbol).is_some()
-    };
-    2 * stated.iter().filter(is_known).count() > stated.len()
+    let known = stated.iter().filter(|unit| unit_of_text(unit).is_some());
+    2 * known.count() > stated.len()
 }
 
 /// Whether a cell consists of digits with signs and marks.
@@ -393,11 +409,22 @@ mod tests {
             ("Serial;0815\nDate;2026-05-03\nt;b\n0;1\n1;2\n2;3\n", 2, false),
             ("t;b\n[s];[uT]\n0;1\n1;2\n", 0, true),
             ("t;b;note\ns;\u{b5}T;\n0;1;x\n1;2;y\n", 0, true),
+            ("t;b\nsec;Gauss\n0;1\n1;2\n", 0, true),
             ("0,1\n1,2\n", 0, false),
         ] {
             let format = format(table);
             assert_eq!((format.preamble, format.has_units), (preamble, has_units), "{table}");
         }
+    }
+
+    /// Names that are numbers, no rows, and rows with a cell more than the header.
+    #[test]
+    fn separator_is_found_without_text_above_numbers() {
+        for table in ["t;1;2\n0;1,5;2\n1;2,5;3\n", "t;b\n", "t;b\n0;1,5;\n1;2,5;\n"] {
+            let format = format(table);
+            assert_eq!((format.separator, format.preamble), (b';', 0), "{table}");
+        }
+        assert_eq!(read("t;1;2\n0;1,5;2\n1;2,5;3\n", "1,5"), "1.5");
     }
 
     #[test]
