@@ -280,6 +280,11 @@ impl EffectTerm {
         }
     }
 
+    /// Whether its magnitude is a magnetic field, absolute or per unit of a covariate.
+    pub fn is_of_field(&self) -> bool {
+        self.effect().is_some_and(|effect| effect.size.unit.split('/').next() == Some("G"))
+    }
+
     /// Required columns besides force and field.
     pub fn needs(&self) -> Vec<String> {
         match (self, self.effect()) {

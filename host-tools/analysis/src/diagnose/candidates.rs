@@ -77,8 +77,7 @@ fn obstacle(
         }
     }
     let mut sensors = campaign.recordings.iter().flat_map(|recording| recording.sensors.values());
-    if let EffectTerm::Catalogue(effect) = candidate
-        && effect.size.unit.starts_with('G')
+    if candidate.is_of_field()
         && let Some(unit) = sensors.find_map(|sensor| sensor.other_unit)
     {
         return Some(Reason::NotAField(unit));

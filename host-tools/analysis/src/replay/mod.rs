@@ -31,6 +31,7 @@ use device_run::{DeviceRow, ReplayModels};
 
 /// Rows that are read and estimated together, while the next ones are read; only reading and estimating are timed.
 const CHUNK: usize = 1024;
+
 /// Errors of one force of one sensor over one recording, in newtons.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct AxisReplay {

@@ -89,8 +89,7 @@ impl Atom {
         if TIMES.contains(&self.covariate.as_str()) || self.covariate.ends_with("_rad") {
             return Vec::new();
         }
-        let power = |text: &str, complexity: f64| Self::new(&self.covariate, text, complexity);
-        let [cube, square, linear] = [power("x^3", 1.4), power("x^2", 1.2), power("x", 1.0)];
+        let [linear, square, cube] = powers(&self.covariate);
         vec![
             vec![square.clone(), linear.clone()],
             vec![cube.clone(), linear.clone()],
@@ -204,13 +203,14 @@ pub fn atoms_of(covariate: &str, span: Span, harmonics: &[u32]) -> Vec<Atom> {
         return atoms;
     }
     let middle = round_significant(span.at(0.5), 2);
+    let [linear, square, cube] = powers(covariate);
     let linear = if span.is_far_from_zero() {
         // The product with a force would be a stiffness for the most part, which the model has.
-        atom(&format!("(x-{middle})"), 1.0)
+        atom(&format!("(x-{middle})"), linear.complexity)
     } else {
-        atom("x", 1.0)
+        linear
     };
-    let mut atoms = vec![linear.factor(), atom("x^2", 1.2).factor(), atom("x^3", 1.4)];
+    let mut atoms = vec![linear.factor(), square.factor(), cube];
     let scale = span.high.max(-span.low);
     if span.is_signed() {
         atoms.push(atom("abs(x)", 1.2).factor());
@@ -271,6 +271,12 @@ pub fn atoms_of(covariate: &str, span: Span, harmonics: &[u32]) -> Vec<Atom> {
         atoms.extend(periodic_atoms(covariate, span));
     }
     atoms
+}
+
+/// First, second and third power of a covariate.
+fn powers(covariate: &str) -> [Atom; 3] {
+    [("x", 1.0), ("x^2", 1.2), ("x^3", 1.4)]
+        .map(|(text, complexity)| Atom::new(covariate, text, complexity))
 }
 
 /// Higher harmonics are no more complex than this one.

@@ -98,7 +98,7 @@ impl Candidate {
 
     /// The candidate, if it is a product of two, with one of the factors as another term; if it is a function of one covariate,
     /// polynomials of that instead, in which the zero of the covariate does not matter.
-    pub fn with_lower_terms(&self) -> Vec<Self> {
+    pub fn extensions(&self) -> Vec<Self> {
         let with = |terms: Vec<Vec<Atom>>| Self { terms, own: Vec::new(), ..self.clone() };
         match &self.terms[..] {
             [term] if term.len() == 2 => {

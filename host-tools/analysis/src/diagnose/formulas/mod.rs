@@ -633,14 +633,14 @@ impl<'a> FormulaSearch<'a> {
         if is_better { (candidate, score) } else { shared }
     }
 
-    /// A product with one of its factors as a term of its own, where the remaining squared error falls by more than 2 %.
+    /// The best of the candidate's extensions, where the remaining squared error falls by more than 2 %.
     fn extended(
         &self,
         scan: &Scan,
         candidate: &Candidate,
         held_out: f64,
     ) -> Option<(Candidate, Score)> {
-        let scored = candidate.with_lower_terms().into_iter().map(|extended| {
+        let scored = candidate.extensions().into_iter().map(|extended| {
             let score = scan.score(&self.columns(scan, &extended));
             (extended, score)
         });
