@@ -91,8 +91,8 @@ pub fn run(args: &Args) -> Result<()> {
     )
 }
 
-/// Ratio of a fitted gain to its design, either way, from which it is stated, and from which it must be accepted: beyond tolerances
-/// of manufacturing, and far beyond.
+/// Ratio of a fitted gain to its design, either way, from which it is stated, and from which it must be accepted: one and three
+/// tolerances of the stiffness, which are 10 % (assumed).
 const STATED: f64 = 1.1;
 const ACCEPTED: f64 = 1.3;
 

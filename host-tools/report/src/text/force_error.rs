@@ -7,8 +7,8 @@ use analysis::numbers;
 use model_export::effects::{DeviceForm, ErrorOrigin, find};
 
 /// The terms of a headline, where a user meets them first.
-pub const TERMS: &str = "Held out: on rows that the fit did not use. Noise: the error that the white noise of sensor and reference \
-    causes alone. Excess: the root of the difference of their squares, which a better model of the device could remove.";
+pub const TERMS: &str = "Held out: on rows that the fit did not use. Noise: the error that the white noise of sensor and reference, \
+    and the interpolation between rows of the reference, cause alone. Excess: the root of the difference of their squares, which a better model of the device could remove.";
 
 /// Smallest part of an error that is mentioned.
 const MIN_PART: f64 = 0.02;

@@ -65,7 +65,8 @@ fn force_table(evaluation: &ReplayEvaluation) -> String {
     }
     format!(
         "{headline}\nForce error of the device code in newtons: device minus (linearly interpolated) reference. Noise:\n\
-         the error due to white noise of sensor and reference alone.\n{table}\n\
+         the error due to white noise of sensor and reference, and to interpolation between rows of the\n\
+         reference, alone.\n{table}\n\
          {}{}{}{}\n{}{rows} rows, {:.0} times real time on one core (including reading).\n",
         tare_line(&evaluation.fitted),
         tare_warning(evaluation).unwrap_or_default(),
