@@ -87,22 +87,31 @@ fn effects_and_formulas_of_another_simulator_are_named() {
     });
 }
 
-fn check(expected: &Expected, diagnosis: &Value) {
-    let who = expected.campaign;
-    let list = |of: &Value| of.as_array().cloned().unwrap_or_default();
+fn list(of: &Value) -> Vec<Value> {
+    of.as_array().cloned().unwrap_or_default()
+}
+
+/// Checks the accepted steps of a diagnosis, one effect of each in any order, and the columns of its formulas.
+pub fn check_names(who: &str, effects: &[&str], covariates: &[&str], diagnosis: &Value) {
     let steps = list(&diagnosis["accepted"]);
-    assert_eq!(steps.len(), expected.effects.len(), "{who}: {steps:?}");
-    for effect in expected.effects {
+    assert_eq!(steps.len(), effects.len(), "{who}: {steps:?}");
+    for effect in effects {
         let names = |step: &Value| list(step).iter().any(|name| name == effect);
         assert!(steps.iter().any(names), "{who}: {effect}, {steps:?}");
     }
-    let formulas = list(&diagnosis["formulas"]);
-    let covariates: Vec<Value> = formulas.iter().flat_map(|of| list(&of["covariates"])).collect();
-    let is_expected = |column: &Value| expected.covariates.iter().any(|name| column == name);
-    assert!(covariates.iter().all(is_expected), "{who}: {covariates:?}");
-    for column in expected.covariates {
-        assert!(covariates.iter().any(|own| own == column), "{who}: {column}, {covariates:?}");
+    let found: Vec<Value> =
+        list(&diagnosis["formulas"]).iter().flat_map(|of| list(&of["covariates"])).collect();
+    let is_expected = |column: &Value| covariates.iter().any(|name| column == name);
+    assert!(found.iter().all(is_expected), "{who}: {found:?}");
+    for column in covariates {
+        assert!(found.iter().any(|own| own == column), "{who}: {column}, {found:?}");
     }
+}
+
+fn check(expected: &Expected, diagnosis: &Value) {
+    let who = expected.campaign;
+    check_names(who, expected.effects, expected.covariates, diagnosis);
+    let formulas = list(&diagnosis["formulas"]);
     if who.starts_with("three-gains") {
         let effects: Vec<Value> = formulas.iter().flat_map(|of| list(&of["effects"])).collect();
         let [gain] = effects.as_slice() else { panic!("{who}: {effects:?}") };

@@ -6,6 +6,7 @@ use std::path::Path;
 use rayon::prelude::*;
 use serde_json::Value;
 
+use crate::independent_campaigns::check_names;
 use crate::workdir::WorkDir;
 
 /// A folder of a logger and what a diagnosis of it must find.
@@ -132,22 +133,8 @@ fn sources(folder: &Path) -> Vec<String> {
 
 fn check(expected: &Expected, diagnosis: &Value) {
     let who = expected.folder;
-    let list = |of: &Value| of.as_array().cloned().unwrap_or_default();
-    let steps = list(&diagnosis["accepted"]);
-    assert_eq!(steps.len(), expected.effects.len(), "{who}: {steps:?}");
-    for effect in expected.effects {
-        let names = |step: &Value| list(step).iter().any(|name| name == effect);
-        assert!(steps.iter().any(names), "{who}: {effect}, {steps:?}");
-    }
-    let formulas = list(&diagnosis["formulas"]);
-    let mut covariates: Vec<String> = formulas
-        .iter()
-        .flat_map(|of| list(&of["covariates"]))
-        .filter_map(|name| name.as_str().map(str::to_owned))
-        .collect();
-    covariates.sort();
-    assert_eq!(covariates, expected.covariates, "{who}");
-    let last = list(&diagnosis["staircase"]).pop().unwrap();
+    check_names(who, expected.effects, expected.covariates, diagnosis);
+    let last = diagnosis["staircase"].as_array().and_then(|steps| steps.last()).unwrap();
     let excess_n = last["force"]["excess_n"].as_f64().unwrap();
     assert!(excess_n <= expected.excess_n, "{who}: {excess_n} N");
 }
