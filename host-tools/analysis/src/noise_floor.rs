@@ -1,7 +1,8 @@
 //! The noise of the recordings of a campaign, and how it was estimated.
 
-use crate::numbers::field;
+use crate::numbers::signal;
 use crate::statistics::pooled_rms;
+use model_export::recordings::columns::SignalUnit;
 use model_export::recordings::noise_model::{NoiseEstimate, NoiseEstimator};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -12,19 +13,25 @@ pub const DISAGREE: f64 = 1.3;
 /// Two estimates of the same noise that differ by more than [`DISAGREE`].
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Disagreement {
+    /// Unit of both.
+    #[serde(skip)]
+    pub unit: SignalUnit,
     /// Rows of the estimates, in words.
     pub rows: &'static str,
-    /// By the estimator that is used, in gauss.
+    /// By the estimator that is used.
     pub used_g: f64,
     /// The other estimator, in words.
     pub other: &'static str,
-    /// By the other one, in gauss.
+    /// By the other one.
     pub other_g: f64,
 }
 
 /// Noise over all recordings of a campaign.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct NoiseSummary {
+    /// Unit of the floors and of all residuals of the signal.
+    #[serde(skip)]
+    pub unit: SignalUnit,
     /// Estimator of most recordings; `None` without an estimate.
     pub estimator: Option<NoiseEstimator>,
     /// Floor by each estimator in gauss, root mean square over the recordings.
@@ -42,6 +49,8 @@ pub struct NoiseSummary {
 impl NoiseSummary {
     /// Over the estimates of all recordings.
     pub fn of<'a>(recordings: impl Iterator<Item = &'a NoiseEstimate>) -> Self {
+        let mut recordings = recordings.peekable();
+        let unit = recordings.peek().map_or(SignalUnit::Gauss, |one| one.unit);
         let known: Vec<&NoiseEstimate> =
             recordings.filter(|one| !one.floors_g.is_empty()).collect();
         let uses = |of: NoiseEstimator| known.iter().filter(|one| one.estimator == of).count();
@@ -59,6 +68,7 @@ impl NoiseSummary {
             [jitter, error / (jitters.len() as f64).sqrt()]
         });
         let mut summary = Self {
+            unit,
             estimator: floors
                 .keys()
                 .copied()
@@ -82,6 +92,7 @@ impl NoiseSummary {
         if self.estimator == Some(NoiseEstimator::Differences) && differ(raw, adjusted) {
             return Some(Disagreement {
                 rows: "all rows",
+                unit: self.unit,
                 used_g: raw,
                 other: NoiseEstimator::ResidualDifferences.words(),
                 other_g: adjusted,
@@ -91,6 +102,7 @@ impl NoiseSummary {
         let [other_g, used_g] = [0, 1].map(|i| pooled_rms(quiet.iter().map(|one| one[i])));
         (!quiet.is_empty() && differ(used_g, other_g)).then_some(Disagreement {
             rows: "rows in which the load hardly moves",
+            unit: self.unit,
             used_g,
             other: "their raw differences",
             other_g,
@@ -102,7 +114,7 @@ impl NoiseSummary {
         let Some(estimator) = self.estimator else {
             return "The noise of these recordings is unknown: too few rows.".to_owned();
         };
-        let floor = |of| self.floors_g.get(&of).copied().map(field);
+        let floor = |of| self.floors_g.get(&of).map(|floor| signal(*floor, self.unit));
         let mut text = format!("The noise floor is from {}", estimator.words());
         if let Some(floor) = floor(estimator) {
             text += &format!(", {floor}");

@@ -1,5 +1,8 @@
 //! Numbers as text.
 
+use model_export::recordings::columns::SignalUnit;
+use model_export::recordings::units::round_significant;
+
 /// `value±error`, both to two significant digits of the error, but no finer than a thousandth of `scale`.
 pub fn with_error(value: f64, error: f64, scale: f64) -> String {
     let decimals = decimals_for(error).min(decimals_for(0.01 * scale));
@@ -38,11 +41,12 @@ pub fn three_digits(value: f64) -> String {
     }
 }
 
-/// A field in gauss, or in milligauss below 0.1 G.
-pub fn field(gauss: f64) -> String {
-    match gauss.abs() {
-        size if size < 0.1 => format!("{} mG", three_digits(1e3 * gauss)),
-        _ => format!("{gauss:.3} G"),
+/// A sensor's signal: a field in gauss, or in milligauss below 0.1 G; another signal to three digits.
+pub fn signal(value: f64, unit: SignalUnit) -> String {
+    match unit {
+        SignalUnit::Gauss if value.abs() < 0.1 => format!("{} mG", three_digits(1e3 * value)),
+        SignalUnit::Gauss => format!("{value:.3} G"),
+        SignalUnit::Other(symbol) => format!("{} {symbol}", round_significant(value, 3)),
     }
 }
 

@@ -99,7 +99,7 @@ pub fn run(args: &Args) -> Result<()> {
             "\n{}\n{}{}\n{}\n{}\n",
             text::fit::parameters(model),
             text::fit::error_table(campaign, model),
-            text::fit::verdict(model),
+            text::fit::verdict(model, campaign.signal_unit()),
             gap_axis_note(model),
             text::export::format_tables(&built.chosen, &built.header),
         ))?;

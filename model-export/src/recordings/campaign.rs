@@ -1,5 +1,6 @@
 //! A campaign: a folder of recordings of one gripper.
 
+use crate::recordings::columns::SignalUnit;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -67,6 +68,11 @@ impl Campaign {
     /// Notices of all recordings.
     pub fn notices(&self) -> impl Iterator<Item = &Notice> {
         self.recordings.iter().flat_map(|recording| &recording.notices)
+    }
+
+    /// Unit of the signals, that of the first sensor.
+    pub fn signal_unit(&self) -> SignalUnit {
+        self.recordings.first().map_or(SignalUnit::Gauss, |recording| recording.noise.unit)
     }
 
     /// Total time of the aligned rows in seconds.

@@ -96,14 +96,34 @@ pub enum HallColumn {
     },
 }
 
+/// Unit of a sensor's signal.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum SignalUnit {
+    /// A magnetic field, in gauss.
+    #[default]
+    Gauss,
+    /// Symbol of the unit of a signal that is no field.
+    Other(&'static str),
+}
+
+impl SignalUnit {
+    /// Symbol of the unit.
+    pub fn symbol(self) -> &'static str {
+        match self {
+            Self::Gauss => "G",
+            Self::Other(symbol) => symbol,
+        }
+    }
+}
+
 impl HallColumn {
-    /// Symbol of the unit of a sensor's signal that is no field.
-    pub fn other_unit(&self) -> Option<&'static str> {
+    /// Unit of a sensor's signal as it is read; gauss for other columns.
+    pub fn signal_unit(&self) -> SignalUnit {
         match self {
             Self::Field { unit: FieldUnit::Other(suffix), .. } => {
-                Some(units::symbol(suffix).unwrap_or(suffix))
+                SignalUnit::Other(units::symbol(suffix).unwrap_or(suffix))
             }
-            _ => None,
+            _ => SignalUnit::Gauss,
         }
     }
 

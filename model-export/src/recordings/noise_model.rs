@@ -12,7 +12,7 @@ use nalgebra::{DMatrix, DVector, Vector3};
 use serde::Serialize;
 
 use crate::recordings::Recording;
-use crate::recordings::columns::Axis;
+use crate::recordings::columns::{Axis, SignalUnit};
 use crate::recordings::smooth_field::{MAX_TERMS, SmoothField};
 
 /// Estimator of the noise of a recording.
@@ -57,6 +57,8 @@ pub enum RowOrder {
 /// Result of the estimators over a recording.
 #[derive(Clone, Debug, Default)]
 pub struct NoiseEstimate {
+    /// Unit of the floors: that of the first sensor's signal.
+    pub unit: SignalUnit,
     /// Estimator of the noise of [`Recording::sensors`] and [`Recording::forces`].
     pub estimator: NoiseEstimator,
     /// Noise floor by each estimator that applies: root mean square over rows, axes and sensors in gauss.

@@ -10,7 +10,7 @@ use sha2::{Digest, Sha256};
 
 use crate::input::{self, check_recording_values};
 use crate::recordings::align::Alignment;
-use crate::recordings::columns::{Axis, ChannelLayout, ForceColumn, HallColumn};
+use crate::recordings::columns::{Axis, ChannelLayout, ForceColumn, HallColumn, SignalUnit};
 use crate::recordings::description::RecordingDescription;
 use crate::recordings::error::{DataError, ErrorKind, Location, Notice};
 use crate::recordings::noise_model::{NoiseEstimate, RowOrder};
@@ -56,8 +56,8 @@ pub struct SensorSeries {
     pub temperature_c: Vec<f64>,
     /// White noise of one board row in gauss, each axis; NaN with too few rows.
     pub noise_g: [f64; 3],
-    /// Symbol of the unit in place of gauss, of a sensor that is not a magnetometer.
-    pub other_unit: Option<&'static str>,
+    /// Unit of the signal, in place of gauss where the sensor is no magnetometer.
+    pub unit: SignalUnit,
 }
 
 /// Measurements of one axis of one reference sensor.
@@ -124,6 +124,8 @@ impl Recording {
         recording.finish(&layout, stream.summary());
         let repeats = repeated_settings::within(&mut recording);
         recording.noise = repeats.unwrap_or_else(|| NoiseEstimate::of(&mut recording));
+        recording.noise.unit =
+            recording.sensors.values().next().map_or(SignalUnit::Gauss, |sensor| sensor.unit);
         Ok(recording)
     }
 
@@ -228,7 +230,7 @@ impl Recording {
         for (&id, sensor) in &mut self.sensors {
             if let Some(channels) = layout.field_channels(id) {
                 sensor.noise_g = channels.map(|c| summary.hall_noise[c].unwrap_or(f64::NAN));
-                sensor.other_unit = layout.hall[channels[0]].other_unit();
+                sensor.unit = layout.hall[channels[0]].signal_unit();
             }
         }
         // A sensor with a temperature and no field is not usable.

@@ -54,6 +54,7 @@ pub fn between(recordings: &mut [Recording]) {
     for recording in recordings {
         set_total(recording, &found);
         recording.noise = NoiseEstimate {
+            unit: recording.noise.unit,
             covariates: std::mem::take(&mut recording.noise.covariates),
             correlation_s: recording.noise.correlation_s,
             order: recording.noise.order,

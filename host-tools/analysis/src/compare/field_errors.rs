@@ -4,7 +4,7 @@ use crate::compare::campaign_reader::CampaignReader;
 use crate::compare::covariates::all_covariates;
 use crate::compare::cv_plan::{CvPlan, FoldModel, RecordingFolds};
 use crate::compare::residual_table::{MAX_ROWS, ResidualTable};
-use crate::compare::{Envelope, Trace};
+use crate::compare::{Envelope, ErrorUnit, Trace};
 use crate::notes::Note;
 use crate::progress;
 use crate::statistics::ErrorAccumulator;
@@ -136,14 +136,17 @@ fn sensors(
         let number = sensor.number;
         let forces = sensor.forces();
         let has_forces = forces.iter().all(|force| recording.forces.contains_key(force));
-        if recording.sensors.contains_key(&number) && has_forces {
+        let signal = recording.sensors.get(&number).filter(|_| has_forces);
+        if let Some(signal) = signal {
+            let mut columns = ResidualTable::new(number, &covariates);
+            columns.unit = ErrorUnit::Signal(signal.unit);
             list.push(SensorEvaluation {
                 sensor: number,
                 orientation: sensor.orientation,
                 forces,
                 errors: Default::default(),
                 floor: [Vector3::zeros(); 3],
-                columns: ResidualTable::new(number, &covariates),
+                columns,
                 cycles: LoadCycleCounter::default(),
             });
         }
@@ -301,6 +304,7 @@ impl SensorEvaluation {
         };
         Trace {
             recording: recording.name.clone(),
+            unit: recording.noise.unit,
             sensor: self.sensor,
             field: (0..3)
                 .map(|axis| [curve(&part.field_g, axis), curve(&modelled.field_g, axis)])

@@ -21,7 +21,7 @@ use model_export::fit::cross_validation::CvSplit;
 use model_export::inverse::build::NotInvertible;
 use model_export::inverse::compensation::NotCompensable;
 use model_export::model_file::{EffectModel, SensorScale};
-use model_export::recordings::columns::Axis;
+use model_export::recordings::columns::{Axis, SignalUnit};
 use serde::Serialize;
 use serde::ser::{SerializeStruct, Serializer};
 
@@ -372,16 +372,25 @@ pub struct ForceAxisErrors {
     pub explainable: f64,
 }
 
-/// Unit of a residual: of the forces through the device's inverse, or of the field where the forces are not determined.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+/// Unit of a residual: of the forces through the device's inverse, or of the signal where the forces are not determined.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ErrorUnit {
     /// Newtons.
-    #[serde(rename = "N")]
     Newton,
-    /// Gauss.
-    #[default]
-    #[serde(rename = "G")]
-    Gauss,
+    /// That of the sensors' signals.
+    Signal(SignalUnit),
+}
+
+impl Default for ErrorUnit {
+    fn default() -> Self {
+        Self::Signal(SignalUnit::default())
+    }
+}
+
+impl Serialize for ErrorUnit {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(self.symbol())
+    }
 }
 
 impl ErrorUnit {
@@ -389,7 +398,7 @@ impl ErrorUnit {
     pub fn symbol(self) -> &'static str {
         match self {
             Self::Newton => "N",
-            Self::Gauss => "G",
+            Self::Signal(unit) => unit.symbol(),
         }
     }
 
@@ -397,7 +406,7 @@ impl ErrorUnit {
     pub fn axes(self) -> usize {
         match self {
             Self::Newton => 2,
-            Self::Gauss => 3,
+            Self::Signal(_) => 3,
         }
     }
 
@@ -405,7 +414,7 @@ impl ErrorUnit {
     pub fn axis_names(self) -> [&'static str; 3] {
         match self {
             Self::Newton => ["Fx", "", "Fz"],
-            Self::Gauss => ["x", "y", "z"],
+            Self::Signal(_) => ["x", "y", "z"],
         }
     }
 }
@@ -511,7 +520,9 @@ pub struct Trace {
     pub recording: String,
     /// Number of the sensor.
     pub sensor: u32,
-    /// Field in gauss by axis: measured, modelled.
+    /// Unit of the field.
+    pub unit: SignalUnit,
+    /// Field by axis: measured, modelled.
     pub field: Vec<[Envelope; 2]>,
     /// Lateral and longitudinal force in newtons: reference, device. Empty without an inverse.
     pub force: Vec<[Envelope; 2]>,

@@ -47,7 +47,7 @@ impl ResidualTable {
             sensor,
             recording: Vec::new(),
             time_s: Vec::new(),
-            unit: ErrorUnit::Gauss,
+            unit: ErrorUnit::default(),
             residual: Vec::new(),
             floor2: Vec::new(),
             forces: Vec::new(),
@@ -112,7 +112,7 @@ impl ResidualTable {
 
 /// Unit of the residuals of all sensors.
 pub fn error_unit(sensors: &[ResidualTable]) -> ErrorUnit {
-    sensors.first().map_or(ErrorUnit::Gauss, |sensor| sensor.unit)
+    sensors.first().map_or_else(ErrorUnit::default, |sensor| sensor.unit)
 }
 
 /// Length of an interval in seconds.

@@ -8,6 +8,7 @@ use model_export::effects::{CATALOGUE, EffectTerm};
 use model_export::fit::held_out::BlockChange;
 use model_export::fit::score_test::{CandidateScore, ScoreTest};
 use model_export::model_file::{BaseKind, ModelFile};
+use model_export::recordings::columns::SignalUnit;
 use model_export::recordings::noise_model::RowOrder;
 use model_export::recordings::{Campaign, Recording};
 use rand::{RngExt, SeedableRng};
@@ -78,7 +79,10 @@ fn obstacle(
     }
     let mut sensors = campaign.recordings.iter().flat_map(|recording| recording.sensors.values());
     if candidate.is_of_field()
-        && let Some(unit) = sensors.find_map(|sensor| sensor.other_unit)
+        && let Some(unit) = sensors.find_map(|sensor| match sensor.unit {
+            SignalUnit::Gauss => None,
+            SignalUnit::Other(symbol) => Some(symbol),
+        })
     {
         return Some(Reason::NotAField(unit));
     }

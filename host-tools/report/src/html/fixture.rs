@@ -7,7 +7,7 @@ use analysis::data_quality::evidence::{ColumnError, Evidence, RecordingSet};
 use analysis::data_quality::fix::{Fix, FixKind};
 use model_export::model_file::SensorScale;
 use model_export::recordings::Location;
-use model_export::recordings::columns::Axis;
+use model_export::recordings::columns::{Axis, SignalUnit};
 
 use analysis::compare::*;
 use analysis::statistics::ErrorStatistics;
@@ -47,6 +47,7 @@ fn traces(recordings: usize, sensors: u32, error: f64) -> Vec<Trace> {
             let salt = recording * 17 + sensor as usize * 5;
             let worse = error * (1.0 + f64::from(sensor));
             traces.push(Trace {
+                unit: SignalUnit::Gauss,
                 recording: format!("{:02}-grasp-and-walk", recording + 1),
                 sensor,
                 field: [900.0, 2400.0, 1300.0]

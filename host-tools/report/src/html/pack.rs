@@ -94,9 +94,9 @@ pub fn channels(trace: &Trace) -> impl Iterator<Item = Channel<'_>> {
     let fields = ["field x", "field y", "field z"];
     let force = trace.force.iter().zip(forces);
     let field = trace.field.iter().zip(fields);
-    force
-        .map(|(curves, name)| Channel::of("force", name, "N", curves))
-        .chain(field.map(|(curves, name)| Channel::of("field", name, "G", curves)))
+    force.map(|(curves, name)| Channel::of("force", name, "N", curves)).chain(
+        field.map(move |(curves, name)| Channel::of("field", name, trace.unit.symbol(), curves)),
+    )
 }
 
 /// Measured and modelled curve of one quantity.

@@ -63,7 +63,7 @@ fn pools(comparison: &Comparison) -> Vec<Pool> {
         of.map(|f| (f.error, f.floor))
     };
     [
-        Pool::of("Field", "G", field),
+        Pool::of("Field", comparison.noise.unit.symbol(), field),
         Pool::of("Lateral force", "N", forces(Axis::X)),
         Pool::of("Longitudinal force", "N", forces(Axis::Z)),
     ]

@@ -8,11 +8,12 @@ use analysis::compare::{
     rms_g,
 };
 use analysis::data_quality::Finding;
-use analysis::numbers::{self, field, three_digits};
+use analysis::numbers::{self, three_digits};
 use analysis::replay::tare::TARE_HARM;
 use analysis::statistics::{ErrorStatistics, pooled_rms};
 use anstyle::Style;
 use model_export::fit::cross_validation::{CvSplit, MAX_RECORDING_FOLDS};
+use model_export::recordings::columns::SignalUnit;
 use serde_json::{Value, json};
 
 use crate::text::terminal::{self, ERROR, GOOD, HEADING, WARNING, WIDTH};
@@ -117,15 +118,16 @@ pub fn data_findings(findings: &[Finding]) -> String {
 }
 
 fn field_table(comparison: &Comparison) -> String {
+    let unit = comparison.noise.unit.symbol();
     let heads = [
         "field",
-        "rms / G",
+        &format!("rms / {unit}"),
         "mean",
         "std",
         "P95",
         "max",
         "% of range",
-        "floor / G",
+        &format!("floor / {unit}"),
         "x floor",
         "explainable",
     ];
@@ -143,7 +145,7 @@ fn field_table(comparison: &Comparison) -> String {
 }
 
 /// Number of decimals that gives the smallest floor two significant digits.
-fn decimals(floors: impl Iterator<Item = f64>) -> usize {
+pub fn decimals(floors: impl Iterator<Item = f64>) -> usize {
     let min = floors.filter(|floor| *floor > 0.0).fold(f64::INFINITY, f64::min);
     numbers::decimals_for(min).max(3)
 }
@@ -175,7 +177,7 @@ fn floor_sentence(comparison: &Comparison) -> String {
     let axes = &comparison.axes;
     let mean = |of: &dyn Fn(&FieldAxisErrors) -> Option<f64>| {
         let values: Vec<f64> = axes.iter().filter_map(of).collect();
-        (!values.is_empty()).then(|| numbers::field(pooled_rms(values)))
+        (!values.is_empty()).then(|| numbers::signal(pooled_rms(values), comparison.noise.unit))
     };
     let mut text = format!(
         "Noise floor: white noise {}, reference noise {}, quantisation {}",
@@ -297,12 +299,17 @@ fn attribution_table(comparison: &Comparison) -> String {
 }
 
 /// What a residual is.
-pub fn residual_words(unit: ErrorUnit) -> &'static str {
+pub fn residual_words(unit: ErrorUnit) -> String {
     match unit {
         ErrorUnit::Newton => {
-            "error of both forces that the residual of the field causes in the device's inverse, in newtons"
+            "error of both forces that the residual of the field causes in the device's inverse, in newtons".to_owned()
         }
-        ErrorUnit::Gauss => "measured minus modelled field, in gauss",
+        ErrorUnit::Signal(SignalUnit::Gauss) => {
+            "measured minus modelled field, in gauss".to_owned()
+        }
+        ErrorUnit::Signal(SignalUnit::Other(symbol)) => {
+            format!("measured minus modelled signal, in {symbol}")
+        }
     }
 }
 
@@ -464,7 +471,7 @@ fn side_by_side(one: &Comparison, other: &Comparison) -> String {
         "excess / N",
         "force / N",
         "noise / N",
-        "field / G",
+        &format!("field / {}", one.noise.unit.symbol()),
         "x floor",
         "residual follows",
         "share",
@@ -520,6 +527,7 @@ pub fn to_json(comparison: &Comparison) -> Value {
         "not_recorded": comparison.not_recorded,
         "worst": comparison.worst.iter().map(worst_json).collect::<Vec<_>>(),
         "correlation_s": comparison.correlation_s,
+        "signal_unit": comparison.noise.unit.symbol(),
         "noise": comparison.noise,
         "verdict": verdict(comparison),
     });
@@ -583,6 +591,7 @@ pub fn verdict(comparison: &Comparison) -> String {
 fn conclusion(comparison: &Comparison) -> String {
     let (rms, floor) = (rms_g(&comparison.axes), floor_g(&comparison.axes));
     let span = pooled_rms(comparison.axes.iter().map(|axis| axis.error.span));
+    let field = |value| numbers::signal(value, comparison.noise.unit);
     let error = format!("field {} held out ({:.2} % of the range)", field(rms), 100.0 * rms / span);
     if floor <= 0.0 || floor.is_nan() {
         return format!(
@@ -592,7 +601,7 @@ fn conclusion(comparison: &Comparison) -> String {
     let worst =
         comparison.axes.iter().map(|axis| axis.error.rms / axis.floor.total).fold(0.0, f64::max);
     if rms < BELOW_FLOOR * floor {
-        return below_floor(rms, floor);
+        return below_floor(rms, floor, comparison.noise.unit);
     }
     let chosen: Vec<&Attribution> = comparison.located.iter().filter(|l| l.chosen).collect();
     if comparison.noise.disagreement.is_some() && rms <= AT_FLOOR * floor {

@@ -7,11 +7,12 @@ use analysis::diagnose::{
     ConfoundedOffsets, Diagnosis, DiscoveredFormula, DropReason, DroppedStep, Reason,
     StaircaseStep, Suggestion, SuggestionKind, Unexplained, Verdict, VerdictKind,
 };
-use analysis::numbers::{self, field};
+use analysis::numbers::{self, signal};
 use anstyle::Style;
 use model_export::effects::{EffectTerm, find};
 use model_export::fit::polynomial::HigherDegree;
 use model_export::inverse::compensation::DeviceSupport;
+use model_export::recordings::columns::SignalUnit;
 use serde_json::{Value, json};
 
 use crate::text::causes::causes_sentence;
@@ -172,7 +173,7 @@ fn step_table(diagnosis: &Diagnosis) -> String {
             newtons(ForceError::excess_n),
             newtons(|force| force.rms_n),
             newtons(|force| force.noise_n),
-            field(stair.held_out_rms_g),
+            signal(stair.held_out_rms_g, diagnosis.noise.unit),
             format!("{:.2}", stair.held_out_rms_g / stair.floor_g),
         ]);
     }
@@ -480,7 +481,7 @@ fn unexplained_residual(diagnosis: &Diagnosis) -> String {
         page += &styled(WARNING, &unexplained(one));
     }
     if let Some(structure) = &diagnosis.remaining {
-        page += &styled(WARNING, &remaining(structure));
+        page += &styled(WARNING, &remaining(structure, diagnosis.noise.unit));
     }
     if diagnosis.unexplained.is_empty() {
         return page;
@@ -554,6 +555,7 @@ pub fn to_json(diagnosis: &Diagnosis) -> Value {
         "higher_degree": diagnosis.higher_degree,
         "confounded_offsets": diagnosis.confounded_offsets,
         "at_floor": diagnosis.at_floor,
+        "signal_unit": diagnosis.noise.unit.symbol(),
         "noise": diagnosis.noise,
         "interrupted": diagnosis.is_interrupted,
         "staircase": diagnosis.staircase,
@@ -701,12 +703,12 @@ pub fn physics(verdict: &Verdict) -> &'static str {
     find(&verdict.effect).map_or("A user-defined effect.", |effect| effect.physics)
 }
 
-/// That the residual is below the floor, with both numbers in gauss.
-pub fn below_floor(rms_g: f64, floor_g: f64) -> String {
+/// That the residual is below the floor, with both numbers.
+pub fn below_floor(rms: f64, floor: f64, unit: SignalUnit) -> String {
     format!(
         "The residual, {}, is below the noise floor, {}: the floor is too high, and it is not known what of the residual is noise. Record a rest of ten seconds, or repeat some loads.",
-        field(rms_g),
-        field(floor_g)
+        signal(rms, unit),
+        signal(floor, unit)
     )
 }
 
@@ -716,7 +718,7 @@ pub fn verdict(diagnosis: &Diagnosis) -> String {
         return stopped_verdict(&diagnosis.findings);
     }
     let sentences = [
-        diagnosis.higher_degree.as_ref().map(higher_degree),
+        diagnosis.higher_degree.as_ref().map(|higher| higher_degree(higher, diagnosis.noise.unit)),
         Some(verdict_on_effects(diagnosis)),
         diagnosis.confounded_offsets.as_ref().map(confounded_offsets),
     ];
@@ -734,18 +736,19 @@ pub fn confounded_offsets(of: &ConfoundedOffsets) -> String {
 }
 
 /// That another degree of the polynomial describes the forces better.
-pub fn higher_degree(higher: &HigherDegree) -> String {
+pub fn higher_degree(higher: &HigherDegree, unit: SignalUnit) -> String {
     format!(
         "The degree of the polynomial is too low: with degree {} the held-out error of the field falls from {} to {}.",
         higher.degree,
-        field(higher.now_g),
-        field(higher.then_g)
+        signal(higher.now_g, unit),
+        signal(higher.then_g, unit)
     )
 }
 
 fn verdict_on_effects(diagnosis: &Diagnosis) -> String {
     let Some(last) = diagnosis.staircase.last() else { return String::new() };
-    let (rms, floors) = (field(last.held_out_rms_g), last.held_out_rms_g / last.floor_g);
+    let (rms, floors) =
+        (signal(last.held_out_rms_g, diagnosis.noise.unit), last.held_out_rms_g / last.floor_g);
     let steps: Vec<String> = diagnosis
         .staircase
         .iter()
@@ -761,7 +764,10 @@ fn verdict_on_effects(diagnosis: &Diagnosis) -> String {
         (false, false) => format!("Provisionally missing: {}", steps.join("; ")),
     };
     if floors < BELOW_FLOOR {
-        return format!("{missing}. {}", below_floor(last.held_out_rms_g, last.floor_g));
+        return format!(
+            "{missing}. {}",
+            below_floor(last.held_out_rms_g, last.floor_g, diagnosis.noise.unit)
+        );
     }
     match (diagnosis.is_complete, diagnosis.unexplained.first()) {
         (true, _) if floors <= AT_FLOOR && !diagnosis.at_floor => format!(
@@ -1053,7 +1059,7 @@ pub fn unexplained(of: &Unexplained) -> String {
 
 /// "NOT LOCATED: 40 % of the excess of 0.31 G over the noise follows no covariate. The residual stays alike for 1.2 s, oscillates
 /// at 0.4 Hz, and is on sensor 0 z (60 %), sensor 2 z (30 %)".
-pub fn remaining(structure: &RemainingStructure) -> String {
+pub fn remaining(structure: &RemainingStructure, unit: SignalUnit) -> String {
     let oscillates = match structure.peak_hz {
         Some(hz) => format!("oscillates at {} Hz", numbers::decimal(hz, 2)),
         None => "has no dominant frequency".to_owned(),
@@ -1069,7 +1075,7 @@ pub fn remaining(structure: &RemainingStructure) -> String {
         "NOT LOCATED: {:.0} % of the excess of {} over the noise follows no covariate. The residual stays alike for {} s, \
          {oscillates}, and is on {}{}",
         100.0 * structure.share,
-        field(structure.excess_g),
+        signal(structure.excess_g, unit),
         numbers::decimal(structure.correlation_s, 2),
         channels.collect::<Vec<_>>().join(", "),
         recordings.collect::<String>()

@@ -1,5 +1,6 @@
 //! Text and JSON of a model with other effects.
 
+use crate::text::comparison::decimals;
 use crate::text::comparison::dependent_blocks;
 use analysis::compare::{AT_FLOOR, EffectOrigin};
 use analysis::diagnose::ConfoundedOffsets;
@@ -135,14 +136,26 @@ fn parameter_table(effects: &[EffectModel], sizes: &[EffectSize]) -> String {
     text + "Errors of parameters are from blocks of time alone. ?: not identifiable from these recordings.\n"
 }
 
+fn signal_unit(edit: &ModelEdit) -> &'static str {
+    edit.campaign.signal_unit().symbol()
+}
+
+/// Decimals of the errors.
+fn digits(edit: &ModelEdit) -> usize {
+    let scores = edit.after.1.sensors.iter().flat_map(|sensor| &sensor.scores);
+    decimals(scores.map(|score| score.floor_g)).max(4)
+}
+
 /// Held-out error of each axis before and after.
 fn error_table(edit: &ModelEdit) -> String {
+    let unit = signal_unit(edit);
+    let digits = digits(edit);
     let mut table = terminal::table([
         "sensor",
         "axis",
-        "before G",
-        "after G",
-        "floor G",
+        &format!("before {unit}"),
+        &format!("after {unit}"),
+        &format!("floor {unit}"),
         "after / floor",
         "% of range",
     ]);
@@ -153,9 +166,9 @@ fn error_table(edit: &ModelEdit) -> String {
         table.add_row([
             new.sensor.to_string(),
             new.axis.letter().to_owned(),
-            format!("{:.4}", old.held_out_rms_g),
-            format!("{:.4}", new.held_out_rms_g),
-            format!("{:.4}", new.floor_g),
+            format!("{:.digits$}", old.held_out_rms_g),
+            format!("{:.digits$}", new.held_out_rms_g),
+            format!("{:.digits$}", new.floor_g),
             format!("{:.3}", new.held_out_rms_g / new.floor_g),
             format!("{:.3}", 100.0 * new.held_out_rms_g / new.span_g),
         ]);
@@ -185,8 +198,9 @@ fn error_table(edit: &ModelEdit) -> String {
 fn summary(edit: &ModelEdit) -> String {
     let (old, new) = (edit.before.1.tally(), edit.after.1.tally());
     let (improved, folds) = improved_folds(edit);
+    let (unit, digits) = (signal_unit(edit), digits(edit));
     terminal::paragraph(&format!(
-        "Field, all channels: {:.4} G → {:.4} G, floor {:.4} G. Lower in {} of {} folds.",
+        "Field, all channels: {:.digits$} {unit} → {:.digits$} {unit}, floor {:.digits$} {unit}. Lower in {} of {} folds.",
         old.mean_square().sqrt(),
         new.mean_square().sqrt(),
         new.floor_g(),

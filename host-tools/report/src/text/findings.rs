@@ -6,7 +6,7 @@ use analysis::data_quality::evidence::{
     RecordingSet,
 };
 use analysis::data_quality::fix::{Fix, FixKind};
-use analysis::numbers::{decimal, field, with_error};
+use analysis::numbers::{decimal, signal, with_error};
 use model_export::fit::recording_differences::DifferenceCause;
 use model_export::recordings::dependence::DependenceKind;
 
@@ -188,8 +188,8 @@ pub fn message(finding: &Finding) -> String {
         Evidence::NoiseDisagreement(one) => format!(
             "the noise is uncertain: in {} it is {} as used, and {} by {}. The residual cannot be compared with such a floor; record a rest of ten seconds, or repeat some loads",
             one.rows,
-            field(one.used_g),
-            field(one.other_g),
+            signal(one.used_g, one.unit),
+            signal(one.other_g, one.unit),
             one.other
         ),
         Evidence::ConstantCovariates { columns, effects } => {

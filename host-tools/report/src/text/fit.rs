@@ -1,5 +1,6 @@
 //! Text and JSON of a fit.
 
+use crate::text::comparison::decimals;
 use crate::text::diagnosis::below_floor;
 use analysis::compare::{AT_FLOOR, BELOW_FLOOR};
 use analysis::fit::CampaignFit;
@@ -14,6 +15,7 @@ use model_export::model_file::{
 };
 use model_export::physics::ForwardModel;
 use model_export::recordings::Campaign;
+use model_export::recordings::columns::SignalUnit;
 use model_export::recordings::dependence::block_folds;
 use serde_json::{Value, json};
 
@@ -29,7 +31,7 @@ pub fn format_report(fit: &CampaignFit) -> String {
     let provenance = &model.provenance;
     let base = match fits {
         CampaignFits::Cylinder(..) => parameters(model) + &unidentifiable_text(model),
-        CampaignFits::Polynomial(fits) => degree_table(fits),
+        CampaignFits::Polynomial(fits) => degree_table(fits, campaign.signal_unit()),
     };
     format!(
         "{}: {} recordings, {:.1} s, {} rows; the field is averaged over ±{:.2} ms around each\n\
@@ -46,7 +48,7 @@ pub fn format_report(fit: &CampaignFit) -> String {
             terminal::paragraph(&force_error::headline(error))
                 + &terminal::paragraph(force_error::TERMS)
         }),
-        verdict(model),
+        verdict(model, campaign.signal_unit()),
         FitOptions::default().draws,
         provenance.seed,
         numbers::decimal(longest_block_s(fits), 1),
@@ -132,7 +134,7 @@ fn combination(held: &UnidentifiableCombination) -> String {
     format!("{} ({std_error})", shares.join(" "))
 }
 
-fn degree_table(fits: &[PolynomialFit]) -> String {
+fn degree_table(fits: &[PolynomialFit], unit: SignalUnit) -> String {
     let Some(first) = fits.first() else {
         return String::new();
     };
@@ -146,8 +148,9 @@ fn degree_table(fits: &[PolynomialFit]) -> String {
             .iter()
             .map(|(place, axis)| format!("f{place}_{}", axis.letter()))
             .collect();
+        let digits = decimals(fit.tried.iter().map(|(_, rms)| *rms)).max(4);
         let labels = [fit.sensor.to_string(), forces.join(", "), fit.model.degree.to_string()];
-        let errors = fit.tried.iter().map(|(_, rms)| format!("{rms:.4}"));
+        let errors = fit.tried.iter().map(|(_, rms)| format!("{rms:.digits$}"));
         table.add_row(labels.into_iter().chain(errors).collect::<Vec<_>>());
     }
     terminal::right_align(&mut table, 2);
@@ -156,7 +159,8 @@ fn degree_table(fits: &[PolynomialFit]) -> String {
         _ => ", without what is linear in the covariates",
     };
     format!(
-        "Held-out error in G by degree of the polynomial{compared};\nall sensors have the degree that one of them needs\n{table}\n"
+        "Held-out error in {} by degree of the polynomial{compared};\nall sensors have the degree that one of them needs\n{table}\n",
+        unit.symbol()
     )
 }
 
@@ -170,30 +174,32 @@ pub fn error_table(campaign: &Campaign, model: &ModelFile) -> String {
         _ => "cross-validated by recording",
     };
     let noise = NoiseSummary::of(campaign.recordings.iter().map(|recording| &recording.noise));
+    let unit = noise.unit.symbol();
+    let digits = decimals(axes(model).map(|(_, axis)| axis.floor_g)).max(4);
     let mut table = terminal::table([
         "sensor",
         "axis",
-        "error G",
-        "floor G",
+        &format!("error {unit}"),
+        &format!("floor {unit}"),
         "error / floor",
-        "explainable G",
+        &format!("explainable {unit}"),
         "% of range",
     ]);
     for (sensor, axis) in axes(model) {
         table.add_row([
             sensor.number.to_string(),
             axis.axis.clone(),
-            format!("{:.4}", axis.rms_g),
-            format!("{:.4}", axis.floor_g),
+            format!("{:.digits$}", axis.rms_g),
+            format!("{:.digits$}", axis.floor_g),
             format!("{:.3}", axis.rms_g / axis.floor_g),
-            format!("{:.4}", axis.explainable_g()),
+            format!("{:.digits$}", axis.explainable_g()),
             format!("{:.3}", 100.0 * axis.rms_g / axis.span_g),
         ]);
     }
     terminal::right_align(&mut table, 2);
     format!(
         "Held-out field error, {how}\n{table}\n\
-         RMS over all {} channels: {:.4} G. Floor: white noise of the averaged sensor and of the reference\n\
+         RMS over all {} channels: {:.digits$} {unit}. Floor: white noise of the averaged sensor and of the reference\n\
          (through dB/dF), root sum of squares. Explainable: error above the floor, root difference of\n\
          squares. Range: of the field in this campaign.\n{}",
         axes(model).count(),
@@ -210,7 +216,7 @@ fn axes(model: &ModelFile) -> impl Iterator<Item = (&SensorModel, &HeldOutError)
 const GROSS: f64 = 0.1;
 
 /// Verdict on the held-out error.
-pub fn verdict(model: &ModelFile) -> String {
+pub fn verdict(model: &ModelFile, unit: SignalUnit) -> String {
     let ratio = |axis: &HeldOutError| axis.rms_g / axis.floor_g;
     let worst = axes(model).max_by(|a, b| ratio(a.1).total_cmp(&ratio(b.1)));
     let Some((sensor, axis)) = worst.filter(|(_, axis)| ratio(axis) > AT_FLOOR) else {
@@ -219,7 +225,7 @@ pub fn verdict(model: &ModelFile) -> String {
             pooled_rms(axes(model).map(|(_, axis)| axis.floor_g)),
         ];
         if rms_g < BELOW_FLOOR * floor_g {
-            return below_floor(rms_g, floor_g);
+            return below_floor(rms_g, floor_g, unit);
         }
         let percent = 100.0 * (AT_FLOOR - 1.0);
         return format!("At the noise floor: every axis is within {percent:.0} % of its floor.");
@@ -261,19 +267,21 @@ pub fn to_json(fit: &CampaignFit) -> Value {
             json!({ "sensor": sensor.number, "shares": held.shares, "known_within": known_within })
         })
     });
+    let unit = fit.campaign.signal_unit().symbol();
     json!({
         "axes": axis_errors.collect::<Vec<_>>(),
         "force": fit.force,
         "held_out_rms_g": pooled_rms(axes(model).map(|(_, axis)| axis.rms_g)),
-        "parameters": model.sensors.iter().flat_map(parameters_json).collect::<Vec<_>>(),
+        "parameters": model.sensors.iter().flat_map(|sensor| parameters_json(sensor, unit)).collect::<Vec<_>>(),
         "held": held.collect::<Vec<_>>(),
-        "verdict": verdict(model),
+        "signal_unit": unit,
+        "verdict": verdict(model, fit.campaign.signal_unit()),
         "provenance": model.provenance,
         "notices": notes::texts(&fit.notes),
     })
 }
 
-fn parameters_json(sensor: &SensorModel) -> Vec<Value> {
+fn parameters_json(sensor: &SensorModel, unit: &str) -> Vec<Value> {
     let number = sensor.number;
     let mut parameters = Vec::new();
     for (name, p) in &sensor.parameters {
@@ -290,7 +298,7 @@ fn parameters_json(sensor: &SensorModel) -> Vec<Value> {
             for ((axis, value), error) in ["x", "y", "z"].iter().zip(values).zip(errors) {
                 parameters.push(json!({
                     "sensor": number, "name": format!("{axis}: {}", powers.join(" ")),
-                    "value": value, "std_error": error, "unit": "G", "identifiable": true,
+                    "value": value, "std_error": error, "unit": unit, "identifiable": true,
                 }));
             }
         }

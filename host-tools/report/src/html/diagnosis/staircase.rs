@@ -18,7 +18,8 @@ const FILLED: f64 = 0.6;
 /// Bars, and a table with the names of the effects.
 pub fn section(diagnosis: &Diagnosis) -> Section {
     let stairs = &diagnosis.staircase;
-    let bars = Bars::of(stairs);
+    let unit = diagnosis.noise.unit.symbol();
+    let bars = Bars::of(stairs, unit);
     let rows = stairs.iter().enumerate().map(|(i, stair)| {
         vec![
             html! { (i) ". " (text::added_effects(stair)) },
@@ -43,7 +44,7 @@ pub fn section(diagnosis: &Diagnosis) -> Section {
             @if !diagnosis.dropped.is_empty() { p.note { (text::dropped_steps(diagnosis)) } }
             (table(
                 "Step by step",
-                &["added", "parameters", "field RMS in G", "field RMS / floor", "force excess in N", "force RMS in N", "noise in N"],
+                &["added", "parameters", &format!("field RMS in {unit}"), "field RMS / floor", "force excess in N", "force RMS in N", "noise in N"],
                 rows,
             ))
     };
@@ -57,19 +58,19 @@ fn floors(stair: &StaircaseStep) -> f64 {
 /// What the bars show: forces in newtons, or the field in gauss where the device computes no forces.
 struct Bars {
     caption: &'static str,
-    axis: &'static str,
+    axis: String,
     floor: &'static str,
     /// Error, noise and label of each bar.
     list: Vec<(f64, f64, String)>,
 }
 
 impl Bars {
-    fn of(stairs: &[StaircaseStep]) -> Self {
+    fn of(stairs: &[StaircaseStep], unit: &str) -> Self {
         let forces: Option<Vec<_>> = stairs.iter().map(|stair| stair.force).collect();
         match forces {
             Some(forces) => Self {
                 caption: "Held-out force error through the device's code: excess over the noise, over all forces",
-                axis: "excess in newtons",
+                axis: "excess in newtons".to_owned(),
                 floor: "noise alone",
                 list: forces
                     .iter()
@@ -78,12 +79,12 @@ impl Bars {
             },
             None => Self {
                 caption: "Held-out error of the field over all sensors",
-                axis: "RMS in gauss",
+                axis: format!("RMS in {unit}"),
                 floor: "floor: residual of a perfect model",
                 list: stairs
                     .iter()
                     .map(|s| {
-                        let label = format!("{} G", number(s.held_out_rms_g));
+                        let label = format!("{} {unit}", number(s.held_out_rms_g));
                         (s.held_out_rms_g, s.floor_g, label)
                     })
                     .collect(),
@@ -102,7 +103,7 @@ fn plot(stairs: &[StaircaseStep], bars: &Bars) -> Markup {
 
 fn draw(paper: &Paper, bars: &Bars) -> Result<(), Failure> {
     let sizes = bars.list.iter().flat_map(|(rms, noise, _)| [*rms, *noise]);
-    let mut upwards = Along::bars(bars.axis, sizes);
+    let mut upwards = Along::bars(&bars.axis, sizes);
     // Space for the labels above the highest bar.
     upwards.range.end *= 1.08;
     let mut chart = axes(paper, &Along::things(bars.list.len()), &upwards)?;

@@ -170,13 +170,13 @@ pub fn planned(proposal: &RecordingProposal) -> Markup {
     }
 }
 
-fn unexplained(Diagnosis { unexplained, remaining, .. }: &Diagnosis) -> Markup {
+fn unexplained(Diagnosis { unexplained, remaining, noise, .. }: &Diagnosis) -> Markup {
     html! {
         @if !unexplained.is_empty() || remaining.is_some() {
             h3 { "Unexplained" }
             ul {
                 @for one in unexplained { li { (text::unexplained(one)) } }
-                @if let Some(structure) = remaining { li { (text::remaining(structure)) } }
+                @if let Some(structure) = remaining { li { (text::remaining(structure, noise.unit)) } }
             }
             @if !unexplained.is_empty() { p { (text::EXPR_HINT) } }
         }
