@@ -66,7 +66,8 @@ pub fn refit(
         let bar =
             progress::progress_bar("fitting sensors, before and after", 2 * prepared.rows.len());
         let fit = |effects: &[EffectTerm]| prepared.fit(effects, split, options, |_| bar.inc(1));
-        let (old, new) = (fit(&before)?, fit(&after)?);
+        let (old, mut new) = (fit(&before)?, fit(&after)?);
+        prepared.search_profiles(&mut new, &after);
         bar.finish_and_clear();
         let provenance = Provenance::of(&campaign, alignment.delay_us, options)?;
         let sources = provenance.recordings.iter();

@@ -11,6 +11,7 @@ use crate::fit::cross_validation::CvSplit;
 use crate::fit::joint::{self, BaseFits, JointFit};
 use crate::fit::polynomial::{self, PolynomialFit};
 use crate::fit::rows::{SensorRows, own_forces};
+use crate::fit::shape_profile::shape_profiles;
 use crate::fit::{AxisScore, FitError, FitOptions, orientation};
 use crate::model_file::BaseKind;
 use crate::physics::{ForwardModel, SensorMounting};
@@ -288,6 +289,13 @@ impl FitSetup {
     ) -> Result<JointFit, FitError> {
         let (base_fits, how) = (self.base_fits()?, (split, options));
         joint::fit(&self.rows, &self.bases, base_fits, effects, Some(near), how, |_| ())
+    }
+
+    /// Searches the shapes of the effects that the recordings do not exclude, for the standard errors of their magnitudes.
+    pub fn search_profiles(&self, fit: &mut JointFit, effects: &[EffectTerm]) {
+        let mut effects = effects.to_vec();
+        effects.sort_by_key(EffectTerm::stage);
+        fit.profiles = shape_profiles((&self.rows, &self.bases), &effects, fit);
     }
 
     fn base_fits(&self) -> Result<&BaseFits, FitError> {

@@ -72,7 +72,8 @@ fn within((value, std_error): (f64, f64), (low, high): (f64, f64)) -> bool {
 /// Magnitudes of `effects`, in the given order; `fit` has them in the order of their stages.
 ///
 /// The standard error is the larger of that by blocks of time and, of three folds and more, that of the jackknife over the folds: the
-/// first is linear at the solution and misses what differs between recordings, such as the rate of a clock.
+/// first is linear at the solution and misses what differs between recordings, such as the rate of a clock. The scatter over shapes
+/// that the recordings do not exclude is added where the fit has their profiles.
 pub fn effect_sizes(fit: &JointFit, effects: &[EffectTerm], recordings: usize) -> Vec<EffectSize> {
     let folds: Vec<JointFit> = (0..fit.fold_count()).map(|fold| fit.without(fold)).collect();
     let of = |effect: &EffectTerm| {
@@ -83,6 +84,14 @@ pub fn effect_sizes(fit: &JointFit, effects: &[EffectTerm], recordings: usize) -
         if values.len() == folds.len() && folds.len() >= MIN_FOLDS {
             size.std_error = size.std_error.max(jackknife(&values));
         }
+        let variance = fit.profiles.iter().map(|profile| {
+            profile.variance(|values| {
+                let other = fit.with_values(values.iter().cloned().map(Some));
+                let other = effect_size(&other, effects, effect, recordings);
+                (other.unit == size.unit).then_some(other.value)
+            })
+        });
+        size.std_error = size.std_error.hypot(variance.sum::<f64>().sqrt());
         size
     };
     effects.iter().map(of).collect()
@@ -129,7 +138,7 @@ fn effect_size(
     let single = |i: usize| {
         mean(fit.sensors.iter().map(|sensor| {
             let index = indices(sensor).start + i;
-            (sensor.values[index], sensor.std_error(index))
+            (sensor.values[index], sensor.std_error(index), sensor.prior_errors[index])
         }))
     };
     let (value, std_error, component) = match size.aggregation {
@@ -296,14 +305,25 @@ fn unweighted_mean(values: &[(f64, f64)]) -> (f64, f64) {
     (sum / n, squares.sqrt() / n)
 }
 
-/// Inverse-variance weighted mean; scatter between sensors widens its error (Birge).
-fn mean(values: impl Iterator<Item = (f64, f64)> + Clone) -> (f64, f64) {
+/// Inverse-variance weighted mean of values with their standard errors, of which a part is by the prior; scatter between sensors
+/// widens its error (Birge). The prior of an effect is zero for every sensor, and what it takes from one it takes from all: these
+/// parts add up.
+fn mean(values: impl Iterator<Item = (f64, f64, f64)> + Clone) -> (f64, f64) {
     let weight = |error: f64| 1.0 / error.max(1e-12).powi(2);
-    let total: f64 = values.clone().map(|(_, error)| weight(error)).sum();
-    let mean = values.clone().map(|(value, error)| value * weight(error)).sum::<f64>() / total;
-    let scatter: f64 =
-        values.clone().map(|(value, error)| (value - mean).powi(2) * weight(error)).sum();
-    let freedom = values.count().saturating_sub(1);
+    let total: f64 = values.clone().map(|(_, error, _)| weight(error)).sum();
+    let weighted = |of: &dyn Fn(f64, f64) -> f64| {
+        values
+            .clone()
+            .map(|(value, error, by_prior)| of(value, by_prior) * weight(error))
+            .sum::<f64>()
+    };
+    let mean = weighted(&|value, _| value) / total;
+    let scatter = weighted(&|value, _| (value - mean).powi(2));
+    let freedom = values.clone().count().saturating_sub(1);
     let birge = if freedom > 0 { (scatter / freedom as f64).max(1.0) } else { 1.0 };
-    (mean, (birge / total).sqrt())
+    // Of independent errors the variance already holds this.
+    let independent: f64 =
+        values.clone().map(|(_, error, by_prior)| (by_prior * weight(error) / total).powi(2)).sum();
+    let common = (weighted(&|_, by_prior| by_prior) / total).powi(2) - independent;
+    (mean, (birge / total + common.max(0.0)).sqrt())
 }

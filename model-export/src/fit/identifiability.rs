@@ -159,6 +159,15 @@ impl FreeDirections {
         let unidentifiable = self.unidentifiable_directions.iter();
         unidentifiable.fold(free, |sum, direction| sum + direction * direction.transpose())
     }
+
+    /// Standard deviation of each parameter by the prior in the unidentifiable directions, in prior widths.
+    pub fn prior_deviations(&self) -> Vec<f64> {
+        let squares = |index: usize| {
+            let shares = self.unidentifiable_directions.iter().map(|direction| direction[index]);
+            shares.map(|share| share * share).sum::<f64>()
+        };
+        (0..self.free.nrows()).map(|index| squares(index).sqrt()).collect()
+    }
 }
 
 fn shares(direction: &DVector<f64>, parameters: &[FreeParameter]) -> Vec<(String, f64)> {

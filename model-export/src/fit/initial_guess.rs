@@ -84,6 +84,13 @@ impl<'a> ShapeSearch<'a> {
         columns
     }
 
+    /// The coefficients of `effect`, and the weighted derivatives to them at `values`.
+    pub fn coefficient_columns(&self, effect: usize, values: &[f64]) -> (Vec<usize>, DMatrix<f64>) {
+        let parameters = coefficients(&self.problem, effect);
+        let columns = self.jacobian(&parameters, values);
+        (parameters, columns)
+    }
+
     /// Derivatives of the field to these parameters at `values`, weighted, in units of the parameter.
     fn jacobian(&self, parameters: &[usize], values: &[f64]) -> DMatrix<f64> {
         let problem = &self.problem;

@@ -9,6 +9,7 @@ use crate::fit::parameters::FreeParameter;
 use crate::fit::problem::SensorProblem;
 use crate::fit::rows::SensorRows;
 use crate::fit::sensor_fit::{self, SensorSolution, add_errors, held_out_errors};
+use crate::fit::shape_profile::ShapeProfile;
 use crate::fit::{AxisScore, FitError, FitOptions};
 use crate::physics::SensorOrientation;
 use crate::recordings::columns::Axis;
@@ -40,6 +41,8 @@ pub struct SensorFit {
     pub values: Vec<f64>,
     /// Covariance of the values.
     pub covariance: DMatrix<f64>,
+    /// The part of each standard error that is of the prior: the recordings do not determine the value there.
+    pub prior_errors: Vec<f64>,
     /// Whether the standard error is at most half a prior width.
     pub identifiable: Vec<bool>,
     /// Unidentifiable combinations.
@@ -77,6 +80,10 @@ pub struct JointFit {
     pub split: CvSplit,
     /// In ascending order of their numbers.
     pub sensors: Vec<SensorFit>,
+    /// Shapes that the recordings do not exclude; empty where they were not searched ([`FitSetup::search_profiles`]).
+    ///
+    /// [`FitSetup::search_profiles`]: crate::fit::campaign::FitSetup::search_profiles
+    pub profiles: Vec<ShapeProfile>,
 }
 
 impl JointFit {
@@ -96,13 +103,21 @@ impl JointFit {
 
     /// The same fit with the values of one fold's training rows.
     pub fn without(&self, fold: usize) -> Self {
-        let mut other = self.clone();
-        for sensor in &mut other.sensors {
-            if let Some(values) = sensor.fold_values.get(fold) {
-                sensor.values.clone_from(values);
-            }
+        let of_fold = |sensor: &SensorFit| sensor.fold_values.get(fold).cloned();
+        self.with_values(self.sensors.iter().map(of_fold))
+    }
+
+    /// The same fit with other values of the sensors.
+    pub fn with_values(&self, values: impl Iterator<Item = Option<Vec<f64>>>) -> Self {
+        let with = |(sensor, values): (&SensorFit, Option<Vec<f64>>)| SensorFit {
+            values: values.unwrap_or_else(|| sensor.values.clone()),
+            ..sensor.clone()
+        };
+        Self {
+            sensors: self.sensors.iter().zip(values).map(with).collect(),
+            split: self.split,
+            profiles: Vec::new(),
         }
-        other
     }
 
     /// Mean square over all channels on the fitted rows, in gauss squared.
@@ -207,7 +222,7 @@ pub fn fit(
             fit
         })
         .collect();
-    Ok(JointFit { split, sensors })
+    Ok(JointFit { split, sensors, profiles: Vec::new() })
 }
 
 type SensorStates<'a> = Vec<(SensorProblem<'a>, SensorSolution)>;
@@ -427,6 +442,13 @@ fn sensor_result(
         offset_confounded: (0..problem.offset_count)
             .any(|index| variance_inflation(&state.blocks, index) > MAX_VARIANCE_INFLATION),
         values: problem.values(&state.scaled),
+        prior_errors: state
+            .space
+            .prior_deviations()
+            .iter()
+            .zip(&derivatives)
+            .map(|(deviation, derivative)| (deviation * derivative).abs())
+            .collect(),
         identifiable: (0..size)
             .map(|i| covariance[(i, i)].max(0.0).sqrt() <= MAX_UNCERTAINTY)
             .collect(),

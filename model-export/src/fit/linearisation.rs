@@ -145,6 +145,11 @@ impl Linearisation {
         columns
     }
 
+    /// Normal equations of the fitted parameters, by recording.
+    pub(super) fn normals(&self) -> &RecordingNormals {
+        &self.normals
+    }
+
     /// Weighted residual: x, y, z of each row.
     pub fn residual(&self) -> &DVector<f64> {
         &self.residual

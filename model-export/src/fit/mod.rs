@@ -38,6 +38,7 @@ pub mod recording_differences;
 pub mod rows;
 pub mod score_test;
 pub mod sensor_fit;
+pub mod shape_profile;
 pub mod solver;
 pub mod tall_products;
 

@@ -542,7 +542,8 @@ pub fn diagnose(
         )?,
         None => Vec::new(),
     };
-    if let Some(last) = selection.stages.last() {
+    if let Some(last) = selection.stages.last_mut() {
+        prepared.search_profiles(&mut last.fit, &last.effects);
         let recordings = campaign.recordings.len();
         formulas.iter_mut().for_each(|formula| formula.set_models(last, recordings));
     }
