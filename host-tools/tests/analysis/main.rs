@@ -14,5 +14,6 @@ mod networks;
 mod orientation;
 mod recording_differences;
 mod setup_errors;
+mod signal_unit;
 #[path = "../workdir/mod.rs"]
 mod workdir;
