@@ -250,12 +250,15 @@ impl SensorRows {
                 return Err(FitError::Stuck { place, sensor: self.sensor });
             }
         }
-        let is_ordered =
-            campaign.recordings.iter().all(|recording| recording.noise.order == RowOrder::Time);
+        let has_noise = |recording: &Recording| {
+            let noise = &recording.noise;
+            noise.order == RowOrder::Time && !noise.differences_hold_motion
+        };
+        let is_ordered = campaign.recordings.iter().all(has_noise);
         for (i, (place, axis)) in self.forces.iter().enumerate() {
             let ForceSpread { sigma_n, noise_n, .. } = self.spread(i);
-            // Rows in random order have no noise in their differences: there the field shows whether the load moved. Of rows in order it
-            // would also follow the noise of forces that were estimated from it.
+            // Rows in random order, and rows as far apart as a load's motion, have no noise in their differences: there the field shows
+            // whether the load moved. Of other rows it would also follow the noise of forces that were estimated from it.
             if sigma_n <= MIN_EXCITATION * noise_n && (is_ordered || !self.is_followed(i)) {
                 let place = folder.clone().column(format!("f{place}_{}_n", axis.letter()));
                 return Err(FitError::ConstantForce { place });

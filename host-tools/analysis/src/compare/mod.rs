@@ -39,6 +39,9 @@ pub mod residual_table;
 /// Residuals up to this factor times the floor are indistinguishable from noise.
 pub const AT_FLOOR: f64 = 1.15;
 
+/// The same for the residual of one axis, of which a recording has many.
+pub const AXIS_AT_FLOOR: f64 = AT_FLOOR * AT_FLOOR;
+
 /// Residuals below this factor times the floor show that the floor is too high: no model is better than the noise.
 pub const BELOW_FLOOR: f64 = 0.9;
 

@@ -2,6 +2,7 @@
 //! of the cross-validated error is added; candidates close to it are provisionally equivalent.
 
 use crate::diagnose::candidates::{LEVEL, MIN_GAIN, ScreenedEffect};
+use crate::diagnose::formulas::MIN_KEPT;
 use crate::diagnose::selection::{
     AcceptedStep, DISTINGUISHABLE, FittedModel, ImplausibleFit, SMALL, Selection,
 };
@@ -96,6 +97,7 @@ pub fn best_candidate(
     };
     let best = outcome.best;
     let step = AcceptedStep {
+        is_of_pair: false,
         chosen: best.screened.candidate.clone(),
         tied: outcome.tied,
         shadows: outcome.shadows,
@@ -161,7 +163,11 @@ pub fn best_pair<'s>(
     };
     let both = validated(with(&pair))?;
     let is_plausible = pair.iter().all(|one| both.is_plausible(&one.candidate, recordings));
-    if !is_plausible || !both.improves(stage) || !both.is_possible(recordings) {
+    if !is_plausible
+        || both.gain(stage) <= MIN_KEPT
+        || !both.improves(stage)
+        || !both.is_possible(recordings)
+    {
         return Ok(None);
     }
     let alone = [validated(with(&pair[..1]))?, validated(with(&pair[1..]))?];
@@ -176,7 +182,7 @@ pub fn best_pair<'s>(
         false => (second, first, other),
     };
     let one = AcceptedStep::new(first, &middle, stage);
-    let other = AcceptedStep::new(second, &both, &middle);
+    let other = AcceptedStep { is_of_pair: true, ..AcceptedStep::new(second, &both, &middle) };
     Ok(Some([(one, middle), (other, both)]))
 }
 

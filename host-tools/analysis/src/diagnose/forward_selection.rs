@@ -269,6 +269,62 @@ fn resolve_equivalences(
     Ok(())
 }
 
+/// Compares the effect of each step with those that explained a part of the same when it was accepted, in the last model: later
+/// steps and formulas explain what was still in the residual then. An effect that now explains as much is equivalent; with fewer
+/// coefficients it takes the place of the accepted one.
+///
+/// # Errors
+/// A fit fails.
+pub fn reconsider_shadows(
+    prepared: &FitSetup,
+    selection: &mut Selection,
+    options: FitOptions,
+) -> Result<()> {
+    let recordings = prepared.recordings();
+    for place in 0..selection.steps.len() {
+        let (Some(last), step) = (selection.stages.last(), &selection.steps[place]) else {
+            return Ok(());
+        };
+        let instead = |other: &EffectTerm| {
+            let effects = replaced(&last.effects, &step.chosen, other);
+            let model = FittedModel::without_validation(prepared, effects, options).ok()?;
+            let is_close =
+                model.is_possible(recordings) && !last.is_better_fit(DISTINGUISHABLE, &model);
+            is_close.then(|| (other.clone(), model))
+        };
+        let shadows = step.shadows.iter().filter(|other| !last.effects.contains(other));
+        let close: Vec<(EffectTerm, FittedModel)> =
+            shadows.collect::<Vec<_>>().into_par_iter().filter_map(instead).collect();
+        let mut equivalent: Vec<(usize, EffectTerm)> = Vec::new();
+        for (other, model) in close {
+            let split = prepared.split(&[&last.effects[..], std::slice::from_ref(&other)].concat());
+            let model = FittedModel::new(prepared, model.effects, split, options)?;
+            let own = last.clone().with_split(prepared, split, options);
+            if !own.is_distinguishably_better(&model) && model.is_plausible(&other, recordings) {
+                equivalent.push((other.parameters(recordings).len(), other));
+            }
+        }
+        equivalent.sort_by_key(|(parameters, _)| *parameters);
+        let simpler = equivalent
+            .first()
+            .filter(|(count, _)| *count < step.chosen.parameters(recordings).len())
+            .map(|(_, other)| other.clone());
+        let step = &mut selection.steps[place];
+        step.shadows.retain(|shadow| equivalent.iter().all(|(_, other)| other != shadow));
+        step.tied.extend(equivalent.into_iter().map(|(_, other)| other));
+        let Some(other) = simpler else { continue };
+        step.tied.retain(|tied| *tied != other);
+        let chosen = std::mem::replace(&mut step.chosen, other.clone());
+        step.tied.push(chosen.clone());
+        for stage in &mut selection.stages[place + 1..] {
+            let effects = replaced(&stage.effects, &chosen, &other);
+            let split = prepared.split(&effects);
+            *stage = FittedModel::new(prepared, effects, split, options)?;
+        }
+    }
+    Ok(())
+}
+
 /// The last model with one of several equivalent effects.
 struct Alternative {
     effect: EffectTerm,

@@ -26,8 +26,9 @@ use crate::data_quality::Finding;
 use crate::diagnose::candidates::candidates;
 use crate::diagnose::drifts::equivalent_drifts;
 pub use crate::diagnose::formulas::DiscoveredFormula;
+use crate::diagnose::formulas::simpler::{SimplerFormula, simpler_formulas};
 use crate::diagnose::formulas::{discover, equivalent_formulas};
-use crate::diagnose::forward_selection::forward_selection;
+use crate::diagnose::forward_selection::{forward_selection, reconsider_shadows};
 use crate::diagnose::observer::Observer;
 use crate::diagnose::recording_differences::Differences;
 use crate::diagnose::recording_plan::{RecordingProposal, propose};
@@ -35,7 +36,7 @@ use crate::diagnose::remaining_structure::RemainingStructure;
 pub use crate::diagnose::residuals::EffectShape;
 use crate::diagnose::residuals::{residuals_against, shapes};
 pub use crate::diagnose::selection::{DropReason, DroppedStep};
-use crate::diagnose::selection::{FittedModel, Selection};
+use crate::diagnose::selection::{FittedModel, Selection, WorstAxis};
 pub use crate::diagnose::suggestions::{Suggestion, SuggestionKind};
 use crate::diagnose::verdicts::conclude;
 use crate::noise_floor::NoiseSummary;
@@ -106,6 +107,8 @@ pub struct Diagnosis {
     pub higher_degree: Option<HigherDegree>,
     /// Offsets of sensors that are confounded with an accepted effect.
     pub confounded_offsets: Option<ConfoundedOffsets>,
+    /// The axis with the largest error of the last model, in its noise floors.
+    pub worst_axis: Option<WorstAxis>,
     /// True if the residual is indistinguishable from noise.
     pub at_floor: bool,
     /// Noise of the recordings, and how it was estimated.
@@ -310,19 +313,30 @@ impl Diagnosis {
 
     /// An accepted effect is equivalent to drifts of these quantities.
     fn set_equivalent_drifts(&mut self, effect: &EffectTerm, targets: &[&str]) {
-        if targets.is_empty() {
-            return;
-        }
         let drifts: Vec<String> =
             targets.iter().map(|target| format!("a drift of {target}")).collect();
+        self.set_tied(effect, &drifts);
+    }
+
+    /// An accepted effect is equivalent to a formula with fewer coefficients.
+    fn set_simpler_formula(&mut self, simpler: SimplerFormula) {
+        self.set_tied(&simpler.effect, std::slice::from_ref(&simpler.formula.name));
+        self.equivalent_formulas.push(simpler.formula);
+    }
+
+    /// An accepted effect is equivalent to these causes.
+    fn set_tied(&mut self, effect: &EffectTerm, causes: &[String]) {
+        if causes.is_empty() {
+            return;
+        }
         for step in &mut self.staircase {
             if step.added.iter().any(|name| name == effect.name()) {
-                step.added.extend(drifts.iter().cloned());
+                step.added.extend(causes.iter().cloned());
             }
         }
         for verdict in self.verdicts.iter_mut().filter(|one| one.effect == effect.name()) {
             (verdict.kind, verdict.reason) = (VerdictKind::Tied, Reason::Equivalent);
-            verdict.tied_with.extend(drifts.iter().cloned());
+            verdict.tied_with.extend(causes.iter().cloned());
             if verdict.record.is_empty() {
                 verdict.record = effect.effect().map_or("", |known| known.record).to_owned();
             }
@@ -514,6 +528,9 @@ pub fn diagnose(
     let (first, last) = (selection.stages.first().cloned(), selection.stages.last().cloned());
     let (mut formulas, from_first) =
         discover(campaign, &sample, &testable, &mut selection, options, observer)?;
+    if selection.stages.len() > 2 && !observer.is_stopped() {
+        reconsider_shadows(&sample, &mut selection, options)?;
+    }
     observer.begin_rest();
     if sample.row_count() < prepared.row_count() {
         observer.stage("fitting all rows", ALL_ROWS);
@@ -548,7 +565,14 @@ pub fn diagnose(
         formulas.iter_mut().for_each(|formula| formula.set_models(last, recordings));
     }
     let mut diagnosis = conclude(&selection, &formulas, &untestable, campaign.recordings.len());
+    let simpler = if equivalent_formulas.is_empty() && !observer.is_stopped() {
+        observer.stage("comparing effects with simpler causes", REPLAYS);
+        simpler_formulas((&sample, &prepared), &selection, formulas.len(), options)?
+    } else {
+        Vec::new()
+    };
     diagnosis.set_equivalent_formulas(equivalent_formulas);
+    simpler.into_iter().for_each(|one| diagnosis.set_simpler_formula(one));
     if let Some(last) = selection.stages.last() {
         for effect in selection.steps.iter().map(|step| &step.chosen) {
             let drifts = equivalent_drifts(&sample, last, effect, selection.block_s);

@@ -1,17 +1,17 @@
 //! State of the forward selection: the fitted models and the accepted steps.
 
 use crate::compare::covariates::Covariate;
-use crate::compare::{AT_FLOOR, ForceError};
+use crate::compare::{AT_FLOOR, AXIS_AT_FLOOR, ForceError};
 use crate::diagnose::DiscoveredFormula;
 use crate::diagnose::candidates::{MIN_GAIN, ScreenedEffect};
 use crate::diagnose::confusable_effects::{Collinearity, Similarity};
 use crate::diagnose::formulas::MIN_KEPT;
 use anyhow::Result;
-use model_export::effects::EffectTerm;
+use model_export::effects::{EffectTerm, ParameterKind};
 use model_export::fit::FitOptions;
 use model_export::fit::campaign::FitSetup;
 use model_export::fit::cross_validation::CvSplit;
-use model_export::fit::effect_size::{EffectSize, effect_sizes};
+use model_export::fit::effect_size::{EffectSize, effect_sizes, first_parameter};
 use model_export::fit::joint::JointFit;
 use serde::Serialize;
 
@@ -42,6 +42,8 @@ pub struct AcceptedStep {
     pub inclusion: f64,
     /// Typical magnitude in standard errors at this step.
     pub z_typical: f64,
+    /// Whether it was added together with the step before, and neither lowers the error alone.
+    pub is_of_pair: bool,
     /// Relative reduction of the last model's held-out squared residual by other forms of the effect.
     pub form_gain: f64,
 }
@@ -58,6 +60,7 @@ impl AcceptedStep {
             p_adjusted: screened.p_of_acceptance(),
             inclusion: screened.inclusion,
             z_typical: screened.evidence.z_typical,
+            is_of_pair: false,
             form_gain: 0.0,
         }
     }
@@ -170,8 +173,33 @@ impl Selection {
 
     /// After a refit: removes the last formulas and steps that do not reduce the error of all rows in every fold, formulas by
     /// [`MIN_KEPT`], or that leave one as large as without any, and sets the gains of the others to those on all rows. An earlier step may raise the error
-    /// that a later one then lowers.
+    /// that a later one then lowers. Of the two effects of a pair the gain is that of both.
     pub fn confirm(&mut self, formulas: &mut Vec<DiscoveredFormula>) {
+        self.confirm_last(formulas);
+        while formulas.is_empty()
+            && self.steps.last().is_some_and(|step| step.is_of_pair)
+            && let [.., before, _, last] = self.stages.as_slice()
+            && last.gain(before) <= MIN_KEPT
+        {
+            for _ in 0..2 {
+                self.stages.pop();
+                self.drop_last_step();
+            }
+            self.confirm_last(formulas);
+        }
+        let gains: Vec<f64> = self.stages.windows(2).map(|pair| pair[1].gain(&pair[0])).collect();
+        let of_steps = self.steps.iter_mut().map(|step| &mut step.gain);
+        let of_formulas = formulas.iter_mut().map(|formula| &mut formula.gain);
+        of_steps.chain(of_formulas).zip(gains).for_each(|(gain, of_all_rows)| *gain = of_all_rows);
+    }
+
+    fn drop_last_step(&mut self) {
+        let last = self.steps.pop();
+        self.dropped.extend(last.as_ref().map(|step| step.dropped(DropReason::NotOnAllRows)));
+        self.unconfirmed.extend(last);
+    }
+
+    fn confirm_last(&mut self, formulas: &mut Vec<DiscoveredFormula>) {
         while let [.., before, last] = self.stages.as_slice()
             && (last.gain(before) <= if formulas.is_empty() { MIN_GAIN } else { MIN_KEPT }
                 || !last.improves_all_folds(before)
@@ -182,18 +210,9 @@ impl Selection {
                 Some(formula) => {
                     self.dropped.push(DroppedStep::of_formula(&formula, DropReason::NotOnAllRows));
                 }
-                None => {
-                    let last = self.steps.pop();
-                    self.dropped
-                        .extend(last.as_ref().map(|step| step.dropped(DropReason::NotOnAllRows)));
-                    self.unconfirmed.extend(last);
-                }
+                None => self.drop_last_step(),
             }
         }
-        let gains: Vec<f64> = self.stages.windows(2).map(|pair| pair[1].gain(&pair[0])).collect();
-        let of_steps = self.steps.iter_mut().map(|step| &mut step.gain);
-        let of_formulas = formulas.iter_mut().map(|formula| &mut formula.gain);
-        of_steps.chain(of_formulas).zip(gains).for_each(|(gain, of_all_rows)| *gain = of_all_rows);
     }
 
     /// Removes the last formulas that lower the squared force error by less than [`MIN_KEPT`] next to others, where the error of the
@@ -207,7 +226,7 @@ impl Selection {
             && !formulas.is_empty()
             && let [.., before, _] = self.stages.as_slice()
             && let [.., Some(without), Some(with)] = forces.as_slice()
-            && before.floors() <= AT_FLOOR
+            && before.is_at_floor()
             && with.reducible_rms_n.powi(2) > (1.0 - MIN_KEPT) * without.reducible_rms_n.powi(2)
         {
             self.stages.pop();
@@ -270,9 +289,23 @@ const MIN_RELEVANT: f64 = 0.05;
 /// typically 4 ms, next to a creep).
 const MIN_MAGNITUDE: f64 = 0.1;
 
+/// Factor by which the shape of an event may be beyond the values at which it was searched.
+const NEAR_SEARCHED: f64 = 2.0;
+
 /// Maximum standard error of a transient effect, relative to its magnitude or the typical one: it is flexible in
 /// time, so its magnitude must be determined.
 const MAX_RELATIVE_ERROR: f64 = 10.0;
+
+/// The axis with the largest error.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct WorstAxis {
+    /// Number of the sensor.
+    pub sensor: u32,
+    /// `x`, `y` or `z`.
+    pub axis: &'static str,
+    /// Its error in its noise floors.
+    pub floors: f64,
+}
 
 /// A model while effects are added to it.
 #[derive(Clone, Debug)]
@@ -352,6 +385,24 @@ impl FittedModel {
         self.mean_square().sqrt() / self.fit.tally().floor_g()
     }
 
+    /// The axis with the largest cross-validated error relative to its noise floor.
+    pub fn worst_axis(&self) -> Option<WorstAxis> {
+        let scores = self.fit.sensors.iter().flat_map(|sensor| &sensor.scores);
+        let axes = scores.map(|score| WorstAxis {
+            sensor: score.sensor,
+            axis: score.axis.letter(),
+            floors: score.held_out_rms_g / score.floor_g,
+        });
+        axes.filter(|axis| axis.floors.is_finite()).max_by(|a, b| a.floors.total_cmp(&b.floors))
+    }
+
+    /// Whether the cross-validated error is that of noise, over all axes and on each: the noise of the reference may hide on some
+    /// what another one shows.
+    pub fn is_at_floor(&self) -> bool {
+        self.floors() <= AT_FLOOR
+            && self.worst_axis().is_none_or(|axis| axis.floors <= AXIS_AT_FLOOR)
+    }
+
     /// Reduction of the cross-validated squared error relative to `before`.
     pub fn gain(&self, before: &Self) -> f64 {
         1.0 - self.mean_square() / before.mean_square()
@@ -399,11 +450,29 @@ impl FittedModel {
     }
 
     /// Whether one of its effects has a plausible magnitude, neither tiny nor within its own error. An effect at an instant has no
-    /// error of its own: it acts in one block of the bootstrap.
+    /// error of its own: it acts in one block of the bootstrap, and a duration beyond those searched is no event.
     pub fn is_plausible(&self, effect: &EffectTerm, recordings: usize) -> bool {
         self.size_of(effect, recordings).is_none_or(|size| {
             let tiny = size.largest < MIN_MAGNITUDE * size.size.typical.abs();
-            size.is_plausible() && (effect.is_event() || size.is_determined()) && !tiny
+            let is_determined = match effect.is_event() {
+                true => self.has_searched_shapes(effect, recordings),
+                false => size.is_determined(),
+            };
+            size.is_plausible() && is_determined && !tiny
+        })
+    }
+
+    /// Whether the shapes of one of its effects are near the values at which they were searched.
+    fn has_searched_shapes(&self, effect: &EffectTerm, recordings: usize) -> bool {
+        let parameters = effect.parameters(recordings);
+        parameters.iter().enumerate().all(|(index, parameter)| {
+            let ParameterKind::Shape { grid } = &parameter.kind else { return true };
+            let (Some(low), Some(high)) = (grid.first(), grid.last()) else { return true };
+            let near = low / NEAR_SEARCHED..=high * NEAR_SEARCHED;
+            self.fit.sensors.iter().all(|sensor| {
+                let first = first_parameter(sensor.base_count, &self.effects, effect, recordings);
+                near.contains(&sensor.values[first + index])
+            })
         })
     }
 

@@ -26,7 +26,8 @@ pub fn conclude(
     };
     let complete = selection.is_complete();
     let mut diagnosis = Diagnosis {
-        at_floor: (BELOW_FLOOR..=AT_FLOOR).contains(&last.floors()),
+        at_floor: last.floors() >= BELOW_FLOOR && last.is_at_floor(),
+        worst_axis: last.worst_axis(),
         accepted: if complete {
             let of_formulas = formulas.iter().flat_map(|formula| &formula.effects);
             let of_formulas = of_formulas.map(|effect| vec![effect.name().to_owned()]);
@@ -51,7 +52,7 @@ pub fn conclude(
         blocks: selection.blocks,
         ..Diagnosis::default()
     };
-    if last.floors() <= AT_FLOOR {
+    if last.is_at_floor() {
         diagnosis.unexplained.clear();
     }
     let named = |name: &str, verdicts: &[Verdict]| verdicts.iter().any(|v| v.effect == name);

@@ -3,7 +3,7 @@
 use crate::text::diagnosis::below_floor;
 use analysis::compare::attribution::MIN_SHARE;
 use analysis::compare::{
-    AT_FLOOR, Attribution, BELOW_FLOOR, Bin, Comparison, ErrorUnit, FieldAxisErrors,
+    AT_FLOOR, AXIS_AT_FLOOR, Attribution, BELOW_FLOOR, Bin, Comparison, ErrorUnit, FieldAxisErrors,
     ForceAxisErrors, ForceError, MeanCondition, MissingForces, Validation, WorstInterval, floor_g,
     rms_g,
 };
@@ -610,7 +610,7 @@ fn conclusion(comparison: &Comparison) -> String {
             field(floor)
         );
     }
-    if rms <= AT_FLOOR * floor && worst <= AT_FLOOR * AT_FLOOR {
+    if rms <= AT_FLOOR * floor && worst <= AXIS_AT_FLOOR {
         if let Some(lead) = chosen.first() {
             return format!(
                 "Within {:.0} % of the noise floor: {error}, the floor is {}; {:.0} % of the remaining residual {}.",

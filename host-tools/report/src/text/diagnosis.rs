@@ -555,6 +555,7 @@ pub fn to_json(diagnosis: &Diagnosis) -> Value {
         "higher_degree": diagnosis.higher_degree,
         "confounded_offsets": diagnosis.confounded_offsets,
         "at_floor": diagnosis.at_floor,
+        "worst_axis": diagnosis.worst_axis,
         "signal_unit": diagnosis.noise.unit.symbol(),
         "noise": diagnosis.noise,
         "interrupted": diagnosis.is_interrupted,
@@ -770,7 +771,7 @@ fn verdict_on_effects(diagnosis: &Diagnosis) -> String {
         );
     }
     match (diagnosis.is_complete, diagnosis.unexplained.first()) {
-        (true, _) if floors <= AT_FLOOR && !diagnosis.at_floor => format!(
+        (true, _) if floors <= AT_FLOOR && diagnosis.noise.disagreement.is_some() => format!(
             "{missing}. The residual is then {rms}, {floors:.2} times a floor that is uncertain: see the findings."
         ),
         (true, _) if diagnosis.at_floor => {
@@ -778,7 +779,7 @@ fn verdict_on_effects(diagnosis: &Diagnosis) -> String {
                 "{missing}. The residual is then {rms}, {floors:.2} times the floor: at the noise floor."
             )
         }
-        (_, Some(first)) => format!(
+        (_, Some(first)) if floors > AT_FLOOR => format!(
             "Structure remains: {}, and no effect explains it ({rms}, {floors:.1} times the floor). {}",
             residual_follows(first),
             if steps.is_empty() {
@@ -787,6 +788,18 @@ fn verdict_on_effects(diagnosis: &Diagnosis) -> String {
                 format!("{missing}.")
             }
         ),
+        _ if floors <= AT_FLOOR => {
+            let of_axis = diagnosis.worst_axis.map_or_else(String::new, |worst| {
+                format!(
+                    ": sensor {} {} has {:.2} times its floor, all axes together {floors:.2} times ({rms})",
+                    worst.sensor, worst.axis, worst.floors
+                )
+            });
+            let follows = diagnosis.unexplained.first().map_or_else(String::new, |first| {
+                format!("; {}, and no effect explains it", residual_follows(first))
+            });
+            format!("{missing}. Structure remains{of_axis}{follows}.")
+        }
         _ => format!(
             "{missing}. Structure remains: {rms}, {floors:.1} times the floor, explained by no covariate."
         ),

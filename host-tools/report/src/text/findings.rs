@@ -284,7 +284,7 @@ pub fn message(finding: &Finding) -> String {
             } else {
                 (
                     "ahead of",
-                    "A flexure cannot lead its force, so the clocks are the cause; friction and lag shift this estimate: prefer that of clock_skew in `diagnose`, if it differs. ",
+                    "A flexure cannot lead its force: the clocks are the cause, or a filter of the reference, which `diagnose` compares; friction and lag shift this estimate: prefer that of clock_skew there, if it differs. If the clocks are the cause, ",
                 )
             };
             let (place, remedy) = if recordings.is_all {

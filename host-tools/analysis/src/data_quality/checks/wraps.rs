@@ -13,6 +13,9 @@ const LEAST_JUMP: f64 = 0.5;
 const BITS: std::ops::RangeInclusive<i32> = 8..=24;
 /// Maximum deviation of a jump from a power of two of counts: the signal moves from row to row.
 const NEAR: f64 = 0.03;
+/// Maximum distance of a jump from that power, in root mean squares of the steps between other rows: what does not wrap is as
+/// steady as before. Spikes are not.
+const STEADY: f64 = 4.0;
 /// Ratio of the groups' spans to the distance between them from which the signal itself may have jumped.
 const WIDEST: f64 = 0.9;
 
@@ -73,6 +76,10 @@ fn wrap(channel: Channel) -> Option<Wrap> {
     if !is_apart || widest > WIDEST * offset {
         return None;
     }
+    let furthest = [groups.jumps.0, groups.jumps.1].map(|jump| (jump - offset).abs());
+    if furthest.iter().any(|distance| *distance > STEADY * groups.step().max(resolution)) {
+        return None;
+    }
     let threshold = 0.5 * (groups.upper.0 + groups.lower.1);
     let is_low = groups.is_low_wrong(column);
     Some(Wrap {
@@ -92,12 +99,24 @@ struct Groups {
     rows: [u64; 2],
     /// Line of the first value of each.
     lines: [u64; 2],
+    /// Smallest and largest jump from one to the other.
+    jumps: (f64, f64),
+    /// Squared steps within each, and their number.
+    steps: (f64, u64),
 }
 
 impl Groups {
     fn read(channel: &Channel, threshold: f64) -> Option<Self> {
         let none = (f64::INFINITY, f64::NEG_INFINITY);
-        let mut groups = Self { lower: none, upper: none, rows: [0; 2], lines: [0; 2] };
+        let mut groups = Self {
+            lower: none,
+            upper: none,
+            rows: [0; 2],
+            lines: [0; 2],
+            jumps: none,
+            steps: (0.0, 0),
+        };
+        let mut last: Option<(f64, usize)> = None;
         let mut reader = TolerantReader::open(&channel.table.path)?;
         let mut row = ScannedRow { line: 0, record: ByteRecord::new() };
         while reader.next_into(&mut row) {
@@ -108,12 +127,25 @@ impl Groups {
             let side = usize::from(value > threshold);
             let extent = if side == 0 { &mut groups.lower } else { &mut groups.upper };
             *extent = (extent.0.min(value), extent.1.max(value));
+            if let Some((before, from)) = last.replace((value, side)) {
+                let step = (value - before).abs();
+                if from == side {
+                    groups.steps = (groups.steps.0 + step * step, groups.steps.1 + 1);
+                } else {
+                    groups.jumps = (groups.jumps.0.min(step), groups.jumps.1.max(step));
+                }
+            }
             if groups.rows[side] == 0 {
                 groups.lines[side] = row.line;
             }
             groups.rows[side] += 1;
         }
         groups.rows.iter().all(|rows| *rows > 0).then_some(groups)
+    }
+
+    /// Root mean square of the steps within the groups.
+    fn step(&self) -> f64 {
+        (self.steps.0 / self.steps.1.max(1) as f64).sqrt()
     }
 
     /// Whether the lower values are the wrong ones: those beyond the sensor's range, else the rarer.

@@ -22,6 +22,7 @@ pub mod dictionary;
 pub mod harmonics;
 pub mod rows;
 pub mod scan;
+pub mod simpler;
 
 use anyhow::Result;
 use model_export::effects::EffectTerm;
@@ -33,7 +34,6 @@ use model_export::recordings::Campaign;
 use model_export::recordings::columns::STATOR_CURRENTS;
 use rayon::prelude::*;
 
-use crate::compare::AT_FLOOR;
 use crate::diagnose::candidates::varying_covariates;
 use crate::diagnose::forward_selection::screen_last;
 use crate::diagnose::observer::Observer;
@@ -126,7 +126,7 @@ impl Discovery {
     }
 
     fn is_at_floor(&self) -> bool {
-        self.stages.last().is_some_and(|model| model.floors() <= AT_FLOOR)
+        self.stages.last().is_some_and(FittedModel::is_at_floor)
     }
 }
 
@@ -151,7 +151,7 @@ pub fn discover(
     let (Some(first), Some(last)) = (selection.stages.first(), selection.stages.last()) else {
         return Ok((Vec::new(), None));
     };
-    if last.floors() <= AT_FLOOR || observer.is_stopped() {
+    if last.is_at_floor() || observer.is_stopped() {
         return Ok((Vec::new(), None));
     }
     observer.stage("preparing the search for formulas", STEP);
@@ -218,7 +218,7 @@ pub fn equivalent_formulas(
         return Ok(Vec::new());
     };
     let floors = of_effects.floors();
-    let is_open = floors > OPEN && floors <= AT_FLOOR && !selection.steps.is_empty();
+    let is_open = floors > OPEN && of_effects.is_at_floor() && !selection.steps.is_empty();
     if !is_open || observer.is_stopped() {
         return Ok(Vec::new());
     }
@@ -398,7 +398,7 @@ impl<'a> FormulaSearch<'a> {
             return Ok(None);
         }
         // Where structure remains, the formulas are approximations, and so are their points of the chain.
-        if model.floors() <= AT_FLOOR && !observer.is_stopped() {
+        if model.is_at_floor() && !observer.is_stopped() {
             observer.stage("deciding where the formulas act", STEP);
             self.drop_needless(start, &mut model, &mut accepted)?;
             for place in 0..accepted.len() {
