@@ -106,6 +106,9 @@ pub fn run(args: &Args) -> Result<()> {
     if let Some(lost) = format::loss_line(&state) {
         eprintln!("lost: {lost}");
     }
+    if let Some(stranger) = format::stranger_line(&state) {
+        eprintln!("note: {stranger}");
+    }
     if state.received_s.is_some_and(|received_s| ended_s - received_s > SILENCE.as_secs_f64()) {
         return Err(ConnectionLost::silent(&name).into());
     }
