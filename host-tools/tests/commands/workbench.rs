@@ -4,6 +4,9 @@ use std::io::{ErrorKind, Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::time::{Duration, Instant};
 
+use analysis::edit_model::parse_formulas;
+use analysis::workbench::Workbench;
+use model_export::fit::FitOptions;
 use model_export::recordings::Recording;
 use model_export::recordings::align::Alignment;
 use serde_json::{Value, json};
@@ -447,6 +450,28 @@ fn a_long_computation_is_cancelled_and_blocks_nobody() {
     while served.ask("model", &json!({ "effects": ["hysteresis"], "formulas": [] })).0 == 409 {
         within(begun, "the computation of a client that is gone");
     }
+}
+
+#[test]
+fn models_that_nobody_uses_are_dropped() {
+    let dir = WorkDir::empty();
+    dir.stdout("simulate -o bench --seconds 5 --sensors 1");
+    let alignment = Alignment { delay_us: 0.0 };
+    let bench = Workbench::open(&dir.path("bench"), alignment, FitOptions::default());
+    let bench = bench.unwrap().unwrap();
+    let terms = |number: usize| {
+        parse_formulas(&[format!("own: dz_um = a*fx_n/{}", number + 1)], &[], &[]).unwrap()
+    };
+    let is_kept = |number: usize| bench.fitted(&terms(number), &[]).is_some();
+    for number in 0..40 {
+        bench.fit_model(&terms(number), &[]).unwrap();
+        // It is compared with all others.
+        assert!(is_kept(0), "{number}");
+    }
+    assert_eq!(
+        (1..40).filter(|number| is_kept(*number)).collect::<Vec<_>>(),
+        (9..40).collect::<Vec<_>>()
+    );
 }
 
 #[test]
