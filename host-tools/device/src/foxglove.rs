@@ -89,13 +89,13 @@ impl TopicSink for Channels {
     fn add_topic(&mut self, topic: NumberTopic) -> Result<Self::Id, DataError> {
         let mut topics = self.0.topics.lock().unwrap_or_else(PoisonError::into_inner);
         let channel = json!({
-            "id": topics.len(), "topic": topic.topic, "encoding": MESSAGE_ENCODING, "schemaName": topic.message,
+            "id": topics.len() + 1, "topic": topic.topic, "encoding": MESSAGE_ENCODING, "schemaName": topic.message,
             "schemaEncoding": SCHEMA_ENCODING, "schema": topic.schema, "metadata": topic.metadata,
         });
         topics.push(channel.clone());
         // Without a client nobody receives it.
         let _ = self.0.news.send(News::Topic(channel));
-        Ok(topics.len() - 1)
+        Ok(topics.len())
     }
 
     fn write(
@@ -236,7 +236,8 @@ fn subscribe(subscriptions: &mut HashMap<usize, u32>, topics: usize, text: &str)
     let list = |name: &str| request[name].as_array().cloned().unwrap_or_default();
     for one in list("subscriptions") {
         let topic = one["channelId"].as_u64().map(|topic| topic as usize);
-        if let (Some(topic), Some(id)) = (topic.filter(|topic| *topic < topics), number(&one["id"]))
+        if let (Some(topic), Some(id)) =
+            (topic.filter(|topic| (1..=topics).contains(topic)), number(&one["id"]))
         {
             subscriptions.insert(topic, id);
         }
@@ -258,8 +259,12 @@ impl FoxgloveServer {
         let listener = TcpListener::bind(address).with_context(unusable)?;
         listener.set_nonblocking(true).with_context(unusable)?;
         let port = listener.local_addr()?.port();
+        let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        let begun_us = 1e6 * since_1970.as_secs_f64();
+        // Clients that connect again forget the topics of an earlier server by the session.
         let information = json!({
-            "op": "serverInfo", "name": name, "capabilities": [], "metadata": { "magpie": env!("CARGO_PKG_VERSION") },
+            "op": "serverInfo", "name": name, "capabilities": [], "sessionId": since_1970.as_millis().to_string(),
+            "metadata": { "magpie": env!("CARGO_PKG_VERSION") },
         });
         let (topics, news) = (Mutex::default(), broadcast::Sender::new(WAITING));
         let live = Arc::new(Live { information, allowed: allowed.to_vec(), topics, news });
@@ -276,8 +281,6 @@ impl FoxgloveServer {
         let topics = BoardTopics::new(&hall, &[], &sensors, |columns| {
             Ok(RecordingTopics::new(Channels(live), columns, None, 0.0)?)
         })?;
-        let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-        let begun_us = 1e6 * since_1970.as_secs_f64();
         Ok(Self { _runtime: runtime, port, topics, begun_us, offset_us: None, has_ticks: false })
     }
 
