@@ -30,6 +30,8 @@ use device::session::check_protocol;
 
 /// Time after which the watching thread looks whether it should end.
 const WAIT: Duration = Duration::from_millis(100);
+/// Time for a recording to align its reference and to complete its files.
+const ENDING: Duration = Duration::from_secs(10);
 /// Lines of a recording that are shown.
 const SHOWN_LINES: usize = 12;
 /// Limits of a recording in seconds, as the page states them.
@@ -64,6 +66,8 @@ struct RecordingProcess {
     child: Child,
     /// It ends when this is closed: by [`RecordingProcess::end`], or with this process, however that ends.
     stdin: Option<ChildStdin>,
+    /// When it was first asked to end.
+    asked: Option<Instant>,
     /// What it prints, the last lines.
     lines: Arc<Mutex<VecDeque<String>>>,
     readers: Vec<JoinHandle<()>>,
@@ -101,7 +105,7 @@ impl RecordingProcess {
         let stderr = child.stderr.take().map(|pipe| Box::new(pipe) as Box<dyn Read + Send>);
         let readers = vec![read(stdout), read(stderr)];
         let stdin = child.stdin.take();
-        Ok(Self { child, stdin, lines, readers, uses_connection })
+        Ok(Self { child, stdin, asked: None, lines, readers, uses_connection })
     }
 
     fn goes_on(&mut self) -> bool {
@@ -119,12 +123,13 @@ impl RecordingProcess {
         (goes_on, lines.iter().map(String::as_str).collect::<Vec<_>>().join("\n"))
     }
 
-    /// Asks it to end, as Ctrl-C does; what was recorded is kept. The second time it is killed.
+    /// Asks it to end, as Ctrl-C does; what was recorded is kept. One that does not end is killed by a later request.
     fn end(&mut self) -> Result<()> {
-        match self.stdin.take() {
-            Some(_closed) => Ok(()),
-            None => Ok(self.child.kill()?),
+        self.stdin = None;
+        if self.asked.get_or_insert_with(Instant::now).elapsed() > ENDING {
+            self.child.kill()?;
         }
+        Ok(())
     }
 }
 
