@@ -23,8 +23,11 @@ use tokio_io_timeout::TimeoutStream;
 
 /// Connections at a time.
 const MAX_CONNECTIONS: usize = 64;
-/// Time for the head of a request, also of the next one on a connection, for its body, and without progress of an answer.
+/// Time for the body of a request, and without progress of an answer.
 const TIME_OUT: Duration = Duration::from_secs(10);
+/// Time for the head of a request, also of the next one on a connection: connections without one keep others out for less than ten
+/// seconds.
+const HEAD_TIME_OUT: Duration = Duration::from_millis(9500);
 /// Maximum length of a request's head and of its body in bytes: some formulas, and the cookies of other servers on this machine.
 const MAX_BYTES: usize = 64 << 10;
 /// Pause after a connection that could not be accepted.
@@ -62,7 +65,7 @@ pub async fn serve(listener: TcpListener, router: Router) -> Infallible {
             router.clone().layer(Extension(OwnAddress(address.ip()))).layer(Extension(place));
         let connection = http1::Builder::new()
             .timer(TokioTimer::new())
-            .header_read_timeout(TIME_OUT)
+            .header_read_timeout(HEAD_TIME_OUT)
             .max_buf_size(MAX_BYTES)
             .serve_connection(TokioIo::new(Box::pin(stream)), TowerToHyperService::new(router))
             .with_upgrades();
