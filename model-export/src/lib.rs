@@ -13,6 +13,7 @@
 //! - [`model_file`]: `model.toml`, the human-readable result.
 //! - [`inverse`]: inverse model from fields to forces, and the device's tables.
 //! - [`gru`]: recurrent network: training, quantisation, tables.
+//! - [`stop`]: long computations that can be stopped.
 
 pub mod design;
 pub mod effects;
@@ -24,3 +25,4 @@ pub mod model_file;
 pub mod output;
 pub mod physics;
 pub mod recordings;
+pub mod stop;

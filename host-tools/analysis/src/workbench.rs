@@ -1,7 +1,9 @@
-//! Models of one campaign side by side: the base with any set of effects. Each is fitted once, evaluated on held-out rows, and
-//! screened for missing effects.
+//! Models of one campaign side by side: the base with any set of effects. Each is fitted, evaluated on held-out rows, and screened
+//! for missing effects; the latest are kept.
 
+use std::collections::VecDeque;
 use std::path::Path;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use anyhow::{Context, Result};
 use model_export::effects::EffectTerm;
@@ -27,6 +29,9 @@ use crate::diagnose::selection::FittedModel;
 use crate::diagnose::{Diagnosis, Scope, diagnose};
 use crate::edit_model::check_effects;
 
+/// Models that are kept: each holds its errors over time. A page compares two.
+const MAX_MODELS: usize = 32;
+
 /// The models of a campaign.
 pub struct Workbench {
     /// Setup errors in the recordings' files.
@@ -42,7 +47,8 @@ pub struct Workbench {
     /// Effects of the catalogue that these recordings can test.
     testable: Vec<EffectTerm>,
     options: FitOptions,
-    models: Vec<WorkbenchModel>,
+    /// The one that was used last at the end.
+    models: Mutex<VecDeque<Arc<WorkbenchModel>>>,
 }
 
 /// One model of a campaign.
@@ -155,7 +161,7 @@ impl Workbench {
             setup,
             testable,
             options,
-            models: Vec::new(),
+            models: Mutex::default(),
         }))
     }
 
@@ -170,13 +176,17 @@ impl Workbench {
         &self,
         effects: &[EffectTerm],
         compared: &[EffectTerm],
-    ) -> Option<&WorkbenchModel> {
+    ) -> Option<Arc<WorkbenchModel>> {
         let split = self.split(effects, compared);
-        self.models.iter().find(|known| {
+        let mut models = self.models.lock().unwrap_or_else(PoisonError::into_inner);
+        let place = models.iter().position(|known| {
             known.stage.fit.split == split
                 && known.effects.len() == effects.len()
                 && known.effects.iter().zip(effects).all(|(a, b)| is_same(a, b))
-        })
+        });
+        let model = models.remove(place?)?;
+        models.push_back(model.clone());
+        Some(model)
     }
 
     /// The folds that models with both sets of effects need.
@@ -185,18 +195,26 @@ impl Workbench {
     }
 
     /// Fits the model with these effects, unless it was fitted before; its folds are those that a model with the effects `compared`
-    /// needs too.
+    /// needs too. Of many models the one that was not used for the longest time is dropped.
     ///
     /// # Errors
     /// The recordings cannot identify an effect, a fit fails, or a recording was removed meanwhile.
-    pub fn fit_model(&mut self, effects: &[EffectTerm], compared: &[EffectTerm]) -> Result<()> {
-        if self.fitted(effects, compared).is_none() {
-            // The replay reads the recordings again.
-            recording_folders(&self.reader.folder)?;
-            let model = self.fit(effects, compared)?;
-            self.models.push(model);
+    pub fn fit_model(
+        &self,
+        effects: &[EffectTerm],
+        compared: &[EffectTerm],
+    ) -> Result<Arc<WorkbenchModel>> {
+        if let Some(known) = self.fitted(effects, compared) {
+            return Ok(known);
         }
-        Ok(())
+        // The replay reads the recordings again.
+        recording_folders(&self.reader.folder)?;
+        let model = Arc::new(self.fit(effects, compared)?);
+        let mut models = self.models.lock().unwrap_or_else(PoisonError::into_inner);
+        models.push_back(model.clone());
+        let surplus = models.len().saturating_sub(MAX_MODELS);
+        models.drain(..surplus);
+        Ok(model)
     }
 
     fn fit(&self, effects: &[EffectTerm], compared: &[EffectTerm]) -> Result<WorkbenchModel> {
@@ -224,12 +242,11 @@ impl Workbench {
         Ok(WorkbenchModel { effects: effects.to_vec(), model, comparison, candidates, stage })
     }
 
-    /// Diagnoses what is missing from a fitted model, and with `plans` which recording decides what is open.
+    /// Diagnoses what is missing from a model, and with `plans` which recording decides what is open.
     ///
     /// # Errors
-    /// The model was not fitted, or a fit fails.
-    pub fn diagnose(&self, effects: &[EffectTerm], plans: bool) -> Result<Diagnosis> {
-        let model = self.fitted(effects, &[]).context("the model was not fitted")?;
+    /// A fit fails.
+    pub fn diagnose(&self, model: &WorkbenchModel, plans: bool) -> Result<Diagnosis> {
         let campaign = (&self.campaign, self.reader.alignment);
         let path = Path::new("model.toml");
         let observer = Observer::default();
@@ -255,17 +272,16 @@ impl Workbench {
         self.base
     }
 
-    /// Residuals of a fitted model over the covariate of this name.
+    /// Residuals of a model over the covariate of this name.
     ///
     /// # Errors
-    /// The model was not fitted, or there is no such covariate, sensor or recording.
+    /// There is no such covariate, sensor or recording.
     pub fn scatter(
         &self,
-        effects: &[EffectTerm],
+        model: &WorkbenchModel,
         covariate: &str,
         interval: &Interval,
     ) -> Result<ResidualScatter> {
-        let model = self.fitted(effects, &[]).context("the model was not fitted")?;
         let covariates = self.residual_covariates();
         let covariate = covariates.into_iter().find(|known| known.name == covariate);
         let covariate = covariate.context("there is no such covariate")?;

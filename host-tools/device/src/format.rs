@@ -1,6 +1,6 @@
 //! State and faults as text and JSON.
 
-use crate::state::{ActiveFault, GripperState, SensorState};
+use crate::state::{ActiveFault, GripperState, OtherProtocol, SensorState};
 use device_run::channel_map::turn_rad;
 use firmware::compensation::covariates::Covariates;
 use firmware::estimator::Validity;
@@ -109,6 +109,17 @@ pub fn loss_line(state: &GripperState) -> Option<String> {
     (!parts.is_empty()).then(|| parts.join(", "))
 }
 
+/// What a stranger sent under the gripper's number; `None` if there is nothing.
+pub fn stranger_line(state: &GripperState) -> Option<String> {
+    let OtherProtocol { messages, major, .. } = state.other_protocol;
+    (messages > 0).then(|| {
+        format!(
+            "{messages} ignored messages of protocol version {major} under the number of this gripper: another device or host on \
+             its bus sends them"
+        )
+    })
+}
+
 /// State as JSON, `now_s` seconds after the start of reception.
 pub fn state_json(state: &GripperState, now_s: f64) -> Value {
     let sensors = state.sensors.iter().enumerate();
@@ -142,6 +153,7 @@ pub fn state_json(state: &GripperState, now_s: f64) -> Value {
             "messages": state.lost.messages,
             "broken_packets": state.lost.broken,
             "restarts": state.lost.restarts,
+            "other_protocol": state.other_protocol.messages,
         },
         "version": state.version.map(|version| json!({
             "firmware": [version.firmware_major, version.firmware_minor, version.firmware_patch],

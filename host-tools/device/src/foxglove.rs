@@ -1,36 +1,60 @@
 //! A running gripper for Foxglove: the topics of an MCAP file, served live over the Foxglove WebSocket protocol.
 
 use std::collections::HashMap;
-use std::net::SocketAddr;
-use std::path::Path;
-use std::sync::Arc;
+use std::net::{IpAddr, SocketAddr, TcpListener};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context as _, Result};
+use axum::body::{Body, Bytes};
+use axum::extract::{Request, State};
+use axum::http::uri::Authority;
+use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
+use axum::response::Response;
+use axum::{Extension, Router};
 use device_run::channel_map::covariate_values;
 use firmware::protocol::messages::Message;
 use firmware::protocol::serial::Packet;
 use firmware::sensors::hall::SENSORS;
-use foxglove::{
-    ChannelBuilder, Context, PartialMetadata, RawChannel, Schema, WebSocketServerHandle,
-};
+use futures::{SinkExt, StreamExt};
+use hyper_util::rt::TokioIo;
 use model_export::recordings::columns::COVARIATES;
-use model_export::recordings::error::{DataError, ErrorKind, Location};
+use model_export::recordings::error::DataError;
 use model_export::recordings::mcap::{
     EstimatedForce, MESSAGE_ENCODING, NumberTopic, RecordingTopics, SCHEMA_ENCODING, TopicSink,
 };
+use serde_json::{Value, json};
 use sim::campaign::recording::sensor_columns;
+use tokio::runtime::Runtime;
+use tokio::sync::broadcast::{self, error::RecvError};
+use tokio_tungstenite::WebSocketStream;
+use tokio_tungstenite::tungstenite::Message as Sent;
+use tokio_tungstenite::tungstenite::handshake::server::create_response_with_body;
+use tokio_tungstenite::tungstenite::protocol::{Role, WebSocketConfig};
 
 use crate::board_topics::BoardTopics;
 use crate::format::degrees;
+use crate::http::{OwnAddress, Place, refuse, serve, single};
 use crate::state::{FRESH_S, GripperState, SensorState, Timestamped};
 
 /// Largest difference in microseconds between the board's clock, once set, and that of this computer; beyond, it is set again.
 const MAX_DRIFT_US: f64 = 50_000.0;
 
+/// Version of Foxglove's protocol: topics with their definitions (<https://github.com/foxglove/ws-protocol>).
+const PROTOCOL: &str = "foxglove.sdk.v1";
+/// Messages that wait for a slow client; then the oldest are dropped.
+const WAITING: usize = 1024;
+/// Maximum length of a client's message, and of unsent ones to it, in bytes.
+const MAX_MESSAGE: usize = 64 << 10;
+const MAX_UNSENT: usize = 1 << 20;
+/// Pages that may connect, besides those of this machine: Foxglove's, in a browser and installed.
+const ORIGINS: [&str; 3] = ["https://app.foxglove.dev", "app.foxglove.dev", "file://"];
+
 /// A server of the state of one gripper.
 pub struct FoxgloveServer {
-    server: WebSocketServerHandle,
+    /// Serves until it is dropped.
+    _runtime: Runtime,
+    port: u16,
     topics: BoardTopics<Channels>,
     /// Start of the reception, in microseconds since 1970.
     begun_us: f64,
@@ -40,24 +64,38 @@ pub struct FoxgloveServer {
     has_ticks: bool,
 }
 
+/// What clients are told.
+#[derive(Clone)]
+enum News {
+    Topic(Value),
+    Message { topic: usize, time_ns: u64, data: Bytes },
+}
+
+/// The topics of a server, and who may connect.
+struct Live {
+    information: Value,
+    /// Hosts and origins that are accepted too.
+    allowed: Vec<String>,
+    topics: Mutex<Vec<Value>>,
+    news: broadcast::Sender<News>,
+}
+
 /// Topics as channels of a server.
-pub struct Channels(Arc<Context>);
+pub struct Channels(Arc<Live>);
 
 impl TopicSink for Channels {
-    type Id = Arc<RawChannel>;
+    type Id = usize;
 
     fn add_topic(&mut self, topic: NumberTopic) -> Result<Self::Id, DataError> {
-        let schema = Schema::new(topic.message, SCHEMA_ENCODING, topic.schema.into_bytes());
-        let channel = ChannelBuilder::new(&topic.topic)
-            .context(&self.0)
-            .schema(schema)
-            .message_encoding(MESSAGE_ENCODING)
-            .metadata(topic.metadata)
-            .build_raw();
-        channel.map_err(|error| {
-            let error = std::io::Error::other(error);
-            ErrorKind::Unwritable(error).at(Location::file(Path::new(&topic.topic)))
-        })
+        let mut topics = self.0.topics.lock().unwrap_or_else(PoisonError::into_inner);
+        let channel = json!({
+            "id": topics.len() + 1, "topic": topic.topic, "encoding": MESSAGE_ENCODING, "schemaName": topic.message,
+            "schemaEncoding": SCHEMA_ENCODING, "schema": topic.schema, "metadata": topic.metadata,
+        });
+        topics.push(channel.clone());
+        // Without a client nobody receives it.
+        let _ = self.0.news.send(News::Topic(channel));
+        Ok(topics.len())
     }
 
     fn write(
@@ -66,43 +104,189 @@ impl TopicSink for Channels {
         time_us: f64,
         values: &[f64],
     ) -> Result<(), DataError> {
-        let log_time = Some((1e3 * time_us).round().max(0.0) as u64);
-        topic.log_with_meta(&NumberTopic::encode(values), PartialMetadata { log_time });
+        if self.0.news.receiver_count() > 0 {
+            let time_ns = (1e3 * time_us).round().max(0.0) as u64;
+            let data = NumberTopic::encode(values).into();
+            let _ = self.0.news.send(News::Message { topic: *topic, time_ns, data });
+        }
         Ok(())
     }
 }
 
+impl Live {
+    /// Whether a request comes from a page that may read the gripper. Any page can connect to this machine; one whose own name
+    /// leads here even counts as of this server, but for the name.
+    fn admits(&self, headers: &HeaderMap, own: IpAddr) -> bool {
+        let is_allowed = |name: &str| self.allowed.iter().any(|one| one.eq_ignore_ascii_case(name));
+        let host = single(headers, &header::HOST).and_then(name_of);
+        let is_own = |ip: IpAddr| ip.is_loopback() || ip == own.to_canonical();
+        let is_host = host.is_some_and(|host| is_allowed(&host) || is_machine(&host, is_own));
+        let mut origins = headers.get_all(header::ORIGIN).iter();
+        is_host
+            && origins.all(|origin| {
+                let Ok(origin) = origin.to_str() else { return false };
+                let page = origin.strip_prefix("http://").or(origin.strip_prefix("https://"));
+                let is_of_machine = |page: String| is_machine(&page, |ip| ip.is_loopback());
+                ORIGINS.contains(&origin)
+                    || is_allowed(origin)
+                    || page.and_then(name_of).is_some_and(is_of_machine)
+            })
+    }
+}
+
+/// Name or address in `NAME:PORT`.
+fn name_of(text: &str) -> Option<String> {
+    let authority: Authority = text.parse().ok().filter(|_| !text.contains('@'))?;
+    Some(authority.host().trim_start_matches('[').trim_end_matches(']').to_owned())
+}
+
+fn is_machine(name: &str, is_own: impl Fn(IpAddr) -> bool) -> bool {
+    let ip = name.parse::<IpAddr>().map(|ip| ip.to_canonical());
+    name.eq_ignore_ascii_case("localhost") || ip.is_ok_and(is_own)
+}
+
+/// Connects a client.
+async fn connect(
+    State(live): State<Arc<Live>>,
+    Extension(OwnAddress(own)): Extension<OwnAddress>,
+    Extension(place): Extension<Place>,
+    mut request: Request,
+) -> Response {
+    if !live.admits(request.headers(), own) {
+        return refuse(
+            StatusCode::FORBIDDEN,
+            "This server answers Foxglove and pages of this machine only; --foxglove-allow admits other hosts and origins.\n",
+        );
+    }
+    let offered = request.headers().get_all(header::SEC_WEBSOCKET_PROTOCOL).iter();
+    let mut offered =
+        offered.filter_map(|value| value.to_str().ok()).flat_map(|all| all.split(','));
+    let has_protocol = offered.any(|one| one.trim() == PROTOCOL);
+    let upgrade = hyper::upgrade::on(&mut request);
+    let response = create_response_with_body(&request, Body::empty);
+    let Ok(mut response) =
+        response.map_err(drop).and_then(|it| has_protocol.then_some(it).ok_or(()))
+    else {
+        return refuse(
+            StatusCode::BAD_REQUEST,
+            "This is a WebSocket server with the protocol foxglove.sdk.v1: open its address in Foxglove.\n",
+        );
+    };
+    let protocol = HeaderValue::from_static(PROTOCOL);
+    response.headers_mut().insert(header::SEC_WEBSOCKET_PROTOCOL, protocol);
+    tokio::spawn(async move {
+        let config = WebSocketConfig::default()
+            .max_message_size(Some(MAX_MESSAGE))
+            .max_frame_size(Some(MAX_MESSAGE))
+            .max_write_buffer_size(MAX_UNSENT);
+        if let Ok(stream) = upgrade.await {
+            let io = TokioIo::new(stream);
+            let socket = WebSocketStream::from_raw_socket(io, Role::Server, Some(config)).await;
+            // Who disconnects is no error.
+            let _ = inform(socket, &live).await;
+        }
+        drop(place);
+    });
+    response
+}
+
+type Socket = WebSocketStream<TokioIo<hyper::upgrade::Upgraded>>;
+
+/// Tells a client what is new on its topics, until it leaves.
+async fn inform(mut socket: Socket, live: &Live) -> Result<()> {
+    let advertise =
+        |topics: Value| Sent::text(json!({ "op": "advertise", "channels": topics }).to_string());
+    let (topics, mut news) = {
+        let topics = live.topics.lock().unwrap_or_else(PoisonError::into_inner);
+        (topics.clone(), live.news.subscribe())
+    };
+    let mut count = topics.len();
+    socket.send(Sent::text(live.information.to_string())).await?;
+    socket.send(advertise(topics.into())).await?;
+    // The client's numbers of the topics.
+    let mut subscriptions = HashMap::new();
+    loop {
+        tokio::select! {
+            message = socket.next() => match message.transpose()? {
+                Some(Sent::Text(text)) => subscribe(&mut subscriptions, count, &text),
+                Some(Sent::Close(_)) | None => return Ok(()),
+                Some(_) => {}
+            },
+            news = news.recv() => match news {
+                Ok(News::Topic(topic)) => {
+                    count += 1;
+                    socket.send(advertise(json!([topic]))).await?;
+                }
+                Ok(News::Message { topic, time_ns, data }) => {
+                    let Some(number) = subscriptions.get(&topic) else { continue };
+                    let head = [&[1][..], &u32::to_le_bytes(*number), &time_ns.to_le_bytes()];
+                    socket.send(Sent::binary([&head.concat()[..], &data].concat())).await?;
+                }
+                Err(RecvError::Lagged(_)) => {}
+                Err(RecvError::Closed) => return Ok(socket.close(None).await?),
+            },
+        }
+    }
+}
+
+/// Follows a request of a client; what is not one of a reader is ignored.
+fn subscribe(subscriptions: &mut HashMap<usize, u32>, topics: usize, text: &str) {
+    let Ok(request) = serde_json::from_str::<Value>(text) else { return };
+    let number = |value: &Value| value.as_u64().and_then(|number| u32::try_from(number).ok());
+    let list = |name: &str| request[name].as_array().cloned().unwrap_or_default();
+    for one in list("subscriptions") {
+        let topic = one["channelId"].as_u64().map(|topic| topic as usize);
+        if let (Some(topic), Some(id)) =
+            (topic.filter(|topic| (1..=topics).contains(topic)), number(&one["id"]))
+        {
+            subscriptions.insert(topic, id);
+        }
+    }
+    let ended: Vec<u32> = list("subscriptionIds").iter().filter_map(number).collect();
+    subscriptions.retain(|_, number| !ended.contains(number));
+}
+
 impl FoxgloveServer {
-    /// Starts to serve the gripper called `name` at `address`.
+    /// Starts to serve the gripper called `name` at `address`, also under the hosts and to the origins `allowed`.
     ///
     /// # Errors
     /// The address is in use or not of this computer.
-    pub fn start(name: &str, address: SocketAddr) -> Result<Self> {
-        let context = Context::new();
-        let information =
-            HashMap::from([("magpie".to_owned(), env!("CARGO_PKG_VERSION").to_owned())]);
-        let server = foxglove::WebSocketServer::new()
-            .name(name)
-            .context(&context)
-            .server_info(information)
-            .bind(address.ip().to_string(), address.port())
-            .start_blocking()
-            .with_context(|| format!("{address} cannot be served: choose another port"))?;
+    pub fn start(name: &str, address: SocketAddr, allowed: &[String]) -> Result<Self> {
+        let runtime =
+            tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build();
+        let runtime = runtime.context("the server cannot be started")?;
+        let unusable = || format!("{address} cannot be served: choose another port");
+        let listener = TcpListener::bind(address).with_context(unusable)?;
+        listener.set_nonblocking(true).with_context(unusable)?;
+        let port = listener.local_addr()?.port();
+        let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        let begun_us = 1e6 * since_1970.as_secs_f64();
+        // Clients that connect again forget the topics of an earlier server by the session.
+        let information = json!({
+            "op": "serverInfo", "name": name, "capabilities": [], "sessionId": since_1970.as_millis().to_string(),
+            "metadata": { "magpie": env!("CARGO_PKG_VERSION") },
+        });
+        let (topics, news) = (Mutex::default(), broadcast::Sender::new(WAITING));
+        let live = Arc::new(Live { information, allowed: allowed.to_vec(), topics, news });
+        let router = Router::new().fallback(connect).with_state(live.clone());
+        let listener = {
+            let _context = runtime.enter();
+            tokio::net::TcpListener::from_std(listener).with_context(unusable)?
+        };
+        runtime.spawn(serve(listener, router));
         let sensors: Vec<usize> = (0..SENSORS).collect();
         let columns = sensors.iter().flat_map(|sensor| sensor_columns(*sensor as u32));
         let hall: Vec<String> =
             columns.chain(COVARIATES.iter().map(|name| (*name).to_owned())).collect();
         let topics = BoardTopics::new(&hall, &[], &sensors, |columns| {
-            Ok(RecordingTopics::new(Channels(context), columns, None, 0.0)?)
+            Ok(RecordingTopics::new(Channels(live), columns, None, 0.0)?)
         })?;
-        let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-        let begun_us = 1e6 * since_1970.as_secs_f64();
-        Ok(Self { server, topics, begun_us, offset_us: None, has_ticks: false })
+        Ok(Self { _runtime: runtime, port, topics, begun_us, offset_us: None, has_ticks: false })
     }
 
     /// Port that is served.
-    pub fn port(&self) -> u16 {
-        self.server.port()
+    pub const fn port(&self) -> u16 {
+        self.port
     }
 
     /// Publishes a packet, which `state` contains, received `at_s` seconds after the start.

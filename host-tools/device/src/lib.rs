@@ -14,6 +14,7 @@
 //! - [`state`]: latest state of a gripper, recent forces, extended board clock.
 //! - [`view`], [`mod@format`]: the state on a terminal, as a line of text, as JSON.
 //! - [`board_topics`], [`foxglove`]: what the board sends as topics of an MCAP file, and live for Foxglove.
+//! - [`http`]: servers on this machine, with time-outs and a limit of connections.
 //! - [`csv_writer`]: CSV output that is valid whenever the process is killed.
 //! - [`mod@reference`]: reference force sensor next to the gripper.
 //! - [`recorder`]: assembly of rows, writing of a recording, and the ranges that it covers.
@@ -26,6 +27,7 @@ pub mod csv_writer;
 pub mod emulation;
 pub mod format;
 pub mod foxglove;
+pub mod http;
 pub mod key_file;
 pub mod params_client;
 #[cfg(unix)]

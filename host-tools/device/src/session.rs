@@ -441,14 +441,14 @@ const fn advice(reason: RefusalReason) -> &'static str {
 /// # Errors
 /// The gripper has another major protocol version.
 pub fn check_protocol(state: &GripperState) -> Result<()> {
-    let version = state.version.map(|version| version.protocol_major);
-    match version.or(state.heartbeat.map(|beat| beat.value.protocol_major)) {
-        Some(major) if major != PROTOCOL_VERSION.0 => bail!(
-            "the gripper uses protocol version {major}, this tool {}: use the tool version of its firmware",
+    if state.other_protocol.is_of_gripper {
+        bail!(
+            "the gripper uses protocol version {}, this tool {}: use the tool version of its firmware",
+            state.other_protocol.major,
             PROTOCOL_VERSION.0
-        ),
-        _ => Ok(()),
+        );
     }
+    Ok(())
 }
 
 /// Reason of a refused session.

@@ -46,6 +46,10 @@ pub struct Args {
     /// [default: 127.0.0.1:8765]; the topics are those of `record --mcap`.
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:8765")]
     foxglove: Option<SocketAddr>,
+    /// Host name or origin that may connect too, such as gripper.lab or https://foxglove.lab; may be given several times. Without
+    /// it these are this machine, the address that it listens on, and Foxglove.
+    #[arg(long, value_name = "NAME", requires = "foxglove")]
+    foxglove_allow: Vec<String>,
     /// Print one JSON object per line on stdout and nothing else.
     #[arg(long)]
     json: bool,
@@ -62,7 +66,10 @@ pub fn run(args: &Args) -> Result<()> {
     // Requests the version; a listen-only connection still receives data.
     let _ = source.send(service(op::VERSION, 0));
     let name = source.name();
-    let mut server = args.foxglove.map(|at| FoxgloveServer::start(&name, at)).transpose()?;
+    let mut server = args
+        .foxglove
+        .map(|at| FoxgloveServer::start(&name, at, &args.foxglove_allow))
+        .transpose()?;
     if let (Some(server), Some(at)) = (&server, args.foxglove) {
         eprintln!("Foxglove: open the connection ws://{}:{}", at.ip(), server.port());
     }
@@ -98,6 +105,9 @@ pub fn run(args: &Args) -> Result<()> {
     }
     if let Some(lost) = format::loss_line(&state) {
         eprintln!("lost: {lost}");
+    }
+    if let Some(stranger) = format::stranger_line(&state) {
+        eprintln!("note: {stranger}");
     }
     if state.received_s.is_some_and(|received_s| ended_s - received_s > SILENCE.as_secs_f64()) {
         return Err(ConnectionLost::silent(&name).into());

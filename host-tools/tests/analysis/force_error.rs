@@ -50,7 +50,7 @@ fn all_commands_state_the_same_force_error() {
 
     let alignment = Alignment { delay_us: 0.0 };
     let folder = std::path::Path::new(&friction);
-    let mut bench = Workbench::open(folder, alignment, FitOptions::default()).unwrap().unwrap();
+    let bench = Workbench::open(folder, alignment, FitOptions::default()).unwrap().unwrap();
     for (effects, expected) in [(vec![], base), (vec!["hysteresis"], better)] {
         let terms: Vec<EffectTerm> =
             effects.iter().map(|name| EffectTerm::Catalogue(find(name).unwrap())).collect();

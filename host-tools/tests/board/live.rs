@@ -2,6 +2,7 @@
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpStream;
 use std::path::Path;
 use std::time::Duration;
 
@@ -152,6 +153,98 @@ fn foxglove_receives_every_tick_and_the_layout_shows_existing_topics() {
         count += 1;
     }
     assert!(count >= 30, "{count}");
+}
+
+#[test]
+fn only_foxglove_and_pages_of_this_machine_may_read() {
+    let dir = WorkDir::empty();
+    let allow = "--foxglove-allow gripper.lab --foxglove-allow https://foxglove.lab:8080";
+    let line = format!("monitor --virtual --foxglove 127.0.0.1:0 {allow} --json");
+    let mut monitor = Running::start(&dir, &line);
+    monitor.drop_output();
+    let mut text = BufReader::new(monitor.0.stderr.take().unwrap()).lines();
+    let address = text.find_map(|line| Some(line.unwrap().split_once("ws://")?.1.to_owned()));
+    let address = address.unwrap();
+    let answer = |headers: &str| {
+        let mut stream = TcpStream::connect(&address).unwrap();
+        stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
+        let request = format!(
+            "GET / HTTP/1.1\r\nconnection: Upgrade\r\nupgrade: websocket\r\nsec-websocket-version: 13\r\n\
+             sec-websocket-key: dGhlIHNhbXBsZSBub25jZQ==\r\nsec-websocket-protocol: foxglove.sdk.v1\r\n{headers}\r\n"
+        );
+        stream.write_all(request.as_bytes()).unwrap();
+        let mut bytes = [0; 512];
+        let mut said = Vec::new();
+        while !said.windows(4).any(|end| end == b"\r\n\r\n") {
+            let count = stream.read(&mut bytes).unwrap();
+            assert!(count > 0, "{headers}: closed after {said:?}");
+            said.extend(&bytes[..count]);
+        }
+        let said = String::from_utf8_lossy(&said).into_owned();
+        said.split(' ').nth(1).unwrap().parse::<u16>().unwrap()
+    };
+    let port = address.split_once(':').unwrap().1;
+    for host in [
+        "127.0.0.1",
+        "localhost",
+        "LocalHost",
+        "[::1]",
+        "127.9.9.9",
+        "gripper.lab",
+        "[::ffff:127.0.0.1]",
+    ] {
+        assert_eq!(answer(&format!("host: {host}:{port}\r\n")), 101, "{host}");
+        assert_eq!(answer(&format!("host: {host}\r\n")), 101, "{host}");
+    }
+    let own = format!("host: {address}\r\n");
+    for host in [
+        "evil.example",
+        "localhost.evil.example",
+        "127.0.0.1.evil.example",
+        "evil.example@127.0.0.1",
+        "10.0.0.1",
+        "192.168.1.7",
+        "0.0.0.0",
+        "[fe80::1]",
+        "notlocalhost",
+        "2130706433",
+        "",
+        "127.0.0.1/",
+        "sub.gripper.lab",
+    ] {
+        assert_eq!(answer(&format!("host: {host}:{port}\r\n")), 403, "{host}");
+    }
+    assert_eq!(answer(""), 403);
+    assert_eq!(answer(&format!("{own}host: evil.example\r\n")), 403);
+    for origin in [
+        "https://app.foxglove.dev",
+        "file://",
+        "http://localhost",
+        "http://localhost:8080",
+        "https://127.0.0.1:3000",
+        "http://[::1]:8080",
+        "https://foxglove.lab:8080",
+    ] {
+        assert_eq!(answer(&format!("{own}origin: {origin}\r\n")), 101, "{origin}");
+    }
+    for origin in [
+        "https://evil.example",
+        "null",
+        "",
+        "http://app.foxglove.dev",
+        "https://app.foxglove.dev.evil.example",
+        "https://app.foxglove.dev:444",
+        "https://evil.example/app.foxglove.dev",
+        "http://localhost.evil.example",
+        "file://evil",
+        "http://localhost@evil.example",
+        "https://foxglove.lab",
+        "http://192.168.1.7",
+        "chrome-extension://localhost",
+    ] {
+        assert_eq!(answer(&format!("{own}origin: {origin}\r\n")), 403, "{origin}");
+    }
+    assert_eq!(answer(&format!("{own}origin: file://\r\norigin: https://evil.example\r\n")), 403);
 }
 
 #[test]

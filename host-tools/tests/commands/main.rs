@@ -7,6 +7,7 @@ mod design;
 mod disturbance;
 mod generated_text;
 mod grasp;
+mod other_protocol;
 mod readme_tutorial;
 mod session_rules;
 mod simulate;

@@ -1,9 +1,14 @@
 //! `magpie workbench`: what its server answers, and whom it refuses.
 
-use std::io::Write;
-use std::net::TcpListener;
+use std::io::{ErrorKind, Read, Write};
+use std::net::{TcpListener, TcpStream};
 use std::time::{Duration, Instant};
 
+use analysis::edit_model::parse_formulas;
+use analysis::workbench::Workbench;
+use model_export::fit::FitOptions;
+use model_export::recordings::Recording;
+use model_export::recordings::align::Alignment;
 use serde_json::{Value, json};
 use tests::campaign_copy::CampaignCopy;
 
@@ -248,4 +253,277 @@ fn forces_of_a_reference_are_shown_next_to_the_estimates() {
     );
     drop(served);
     writer.join().unwrap();
+}
+
+/// Reads until the server closes the connection, or for a minute.
+fn rest(mut stream: &TcpStream) -> String {
+    stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
+    let mut bytes = Vec::new();
+    match stream.read_to_end(&mut bytes) {
+        // Closed with unread bytes.
+        Err(error) if error.kind() == ErrorKind::ConnectionReset => {}
+        result => drop(result.expect("the connection is still open after a minute")),
+    }
+    String::from_utf8_lossy(&bytes).into_owned()
+}
+
+fn descriptors(served: &Served) -> usize {
+    std::fs::read_dir(format!("/proc/{}/fd", served.id())).unwrap().count()
+}
+
+#[test]
+fn half_open_connections_keep_nobody_out() {
+    let dir = WorkDir::empty();
+    let served = Served::start(&dir, &campaign("friction"));
+    let before = descriptors(&served);
+    let begun = Instant::now();
+    let open = |number: usize| {
+        let mut stream = TcpStream::connect(&served.host).unwrap();
+        // Refused connections may be closed already.
+        let _ = stream.write_all(&b"GET / HTTP/1.1\r\nhost: 127.0.0.1\r\nx"[..number % 35]);
+        stream
+    };
+    let streams: Vec<TcpStream> = (0..300).map(open).collect();
+    assert!(descriptors(&served) <= before + 70, "{} descriptors", descriptors(&served));
+    // One of those that wait goes on, too slowly.
+    let slow = streams[34].try_clone().unwrap();
+    std::thread::spawn(move || {
+        while (&slow).write_all(b"x").is_ok() {
+            std::thread::sleep(Duration::from_millis(500));
+        }
+    });
+    let refused = streams.iter().skip(64).map(rest);
+    assert!(refused.into_iter().all(|said| said.is_empty() || said.starts_with("HTTP/1.1 503")));
+    let is_refused = |said: &str| said.starts_with("HTTP/1.1 503");
+    let page = format!("GET /?token={}", served.token);
+    while served.status(&page) != Some(200) {
+        assert!(begun.elapsed() < Duration::from_secs(60), "the owner is kept out");
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    assert!(begun.elapsed() > Duration::from_secs(5), "64 connections were open");
+    assert!(!streams.iter().take(64).map(rest).any(|said| is_refused(&said)));
+    assert!(descriptors(&served) <= before + 6, "{} descriptors", descriptors(&served));
+}
+
+#[test]
+fn endless_requests_are_ended() {
+    let dir = WorkDir::empty();
+    let served = Served::start(&dir, &campaign("friction"));
+    let own = format!("host: {}\r\nx-token: {}\r\n", served.host, served.token);
+    let json = "content-type: application/json\r\n";
+    let chunks =
+        "10000\r\n".to_owned() + &"x".repeat(0x10000) + "\r\n10000\r\n" + &"x".repeat(0x10000);
+    for (request, expected) in [
+        (format!("POST /names HTTP/1.1\r\n{own}{json}content-length: 10\r\n\r\n{{"), "408"),
+        (
+            format!(
+                "POST /names HTTP/1.1\r\n{own}{json}transfer-encoding: chunked\r\n\r\n1\r\n{{\r\n"
+            ),
+            "408",
+        ),
+        (
+            format!(
+                "POST /names HTTP/1.1\r\n{own}{json}transfer-encoding: chunked\r\n\r\n{chunks}"
+            ),
+            "413",
+        ),
+        (
+            format!(
+                "POST /names HTTP/1.1\r\n{own}{json}content-length: 99999999999\r\n\r\n{chunks}"
+            ),
+            "413",
+        ),
+        // A body that nobody reads.
+        (format!("POST /names HTTP/1.1\r\n{json}content-length: 10\r\n\r\n{{"), "403"),
+        (format!("GET / HTTP/1.1\r\n{}\r\n", "a: b\r\n".repeat(20_000)), "431"),
+        (format!("GET /{} HTTP/1.1\r\n\r\n", "x".repeat(1 << 20)), "431"),
+    ] {
+        let stream = TcpStream::connect(&served.host).unwrap();
+        // Who is refused early cannot write all of it.
+        let _ = (&stream).write_all(request.as_bytes());
+        let said = rest(&stream);
+        let status = said.split(' ').nth(1).unwrap_or("closed");
+        // What was sent and not read may end the connection before the answer is read.
+        let is_long = request.len() > 100_000;
+        assert!(status == expected || is_long && said.is_empty(), "{:.80}: {said:.200}", request);
+    }
+    assert_eq!(served.ask("names", &json!({})).0, 200);
+}
+
+#[test]
+fn scripts_have_the_number_of_the_page() {
+    let dir = WorkDir::empty();
+    let served = Served::start(&dir, &campaign("friction"));
+    let numbers = [(); 2].map(|()| {
+        let stream = TcpStream::connect(&served.host).unwrap();
+        let Served { host, token, .. } = &served;
+        let request =
+            format!("GET /?token={token} HTTP/1.1\r\nhost: {host}\r\nconnection: close\r\n\r\n");
+        (&stream).write_all(request.as_bytes()).unwrap();
+        let said = rest(&stream);
+        let (head, page) = said.split_once("\r\n\r\n").unwrap();
+        let policy = head.lines().find_map(|line| line.strip_prefix("content-security-policy: "));
+        let parts: Vec<&str> = policy.unwrap().split("; ").collect();
+        for part in [
+            "default-src 'none'",
+            "base-uri 'none'",
+            "frame-ancestors 'none'",
+            "form-action 'none'",
+        ] {
+            assert!(parts.contains(&part), "{head}");
+        }
+        let number = parts.iter().find_map(|part| part.strip_prefix("script-src 'nonce-")).unwrap();
+        let number = number.strip_suffix('\'').unwrap().to_owned();
+        assert!(number.len() >= 22, "{number}");
+        let scripts = page
+            .split("<script")
+            .skip(1)
+            .filter(|script| !script.starts_with(" type=\"text/plain\""));
+        assert!(scripts.clone().count() > 0);
+        assert!(
+            scripts.into_iter().all(|script| script.starts_with(&format!(" nonce=\"{number}\""))),
+            "{page}"
+        );
+        number
+    });
+    assert_ne!(numbers[0], numbers[1]);
+}
+
+/// A request of the page whose answer is not waited for.
+fn begin(served: &Served, path: &str, body: &Value) -> TcpStream {
+    let (stream, body) = (TcpStream::connect(&served.host).unwrap(), body.to_string());
+    let Served { host, token, .. } = served;
+    let request = format!(
+        "POST /{path} HTTP/1.1\r\nhost: {host}\r\nx-token: {token}\r\ncontent-type: application/json\r\n\
+         content-length: {}\r\nconnection: close\r\n\r\n{body}",
+        body.len()
+    );
+    (&stream).write_all(request.as_bytes()).unwrap();
+    stream
+}
+
+#[test]
+fn a_long_computation_is_cancelled_and_blocks_nobody() {
+    let dir = WorkDir::empty();
+    // Its diagnosis takes a minute.
+    let effects = "--effect hysteresis --effect magnet_temperature --effect screw_backlash";
+    dir.stdout(&format!("simulate {effects} --seconds 60 -o long"));
+    let served = Served::start(&dir, "long");
+    let base = json!({ "effects": [], "formulas": [] });
+    let within = |begun: Instant, what: &str| {
+        assert!(begun.elapsed() < Duration::from_secs(20), "{what}: {:?}", begun.elapsed());
+    };
+    let cancel = || {
+        let begun = Instant::now();
+        while served.ask("cancel", &json!({})).1["cancelled"] != true {
+            within(begun, "nothing is computed");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    };
+    let status = |stream: &TcpStream| rest(stream).split(' ').nth(1).unwrap().to_owned();
+    // Before the base was fitted.
+    let first = begin(&served, "model", &base);
+    cancel();
+    let begun = Instant::now();
+    assert_eq!(status(&first), "409");
+    within(begun, "fit");
+    assert_eq!(served.ask("model", &base).0, 200);
+    let plan = json!({ "effects": [], "formulas": [], "plans": true });
+    let long = begin(&served, "diagnose", &plan);
+    std::thread::sleep(Duration::from_millis(500));
+    // Others are served meanwhile, and two computations at once are answered clearly.
+    let begun = Instant::now();
+    assert_eq!(served.ask("names", &json!({})).0, 200);
+    assert_eq!(served.ask("model", &base).0, 200);
+    assert_eq!(served.status(&format!("GET /?token={}", served.token)), Some(200));
+    let (code, answer) = served.ask("model", &json!({ "effects": ["hysteresis"], "formulas": [] }));
+    assert_eq!(code, 409, "{answer}");
+    assert!(answer["error"].as_str().unwrap().contains("wait until it is done, or cancel it"));
+    within(begun, "others");
+    cancel();
+    assert_eq!(status(&long), "409");
+    within(begun, "diagnosis");
+    assert_eq!(served.ask("cancel", &json!({})).1["cancelled"], false);
+    // Of a client that is gone.
+    drop(begin(&served, "diagnose", &plan));
+    let begun = Instant::now();
+    while served.ask("model", &json!({ "effects": ["hysteresis"], "formulas": [] })).0 == 409 {
+        within(begun, "the computation of a client that is gone");
+    }
+}
+
+#[test]
+fn models_that_nobody_uses_are_dropped() {
+    let dir = WorkDir::empty();
+    dir.stdout("simulate -o bench --seconds 5 --sensors 1");
+    let alignment = Alignment { delay_us: 0.0 };
+    let bench = Workbench::open(&dir.path("bench"), alignment, FitOptions::default());
+    let bench = bench.unwrap().unwrap();
+    let terms = |number: usize| {
+        parse_formulas(&[format!("own: dz_um = a*fx_n/{}", number + 1)], &[], &[]).unwrap()
+    };
+    let is_kept = |number: usize| bench.fitted(&terms(number), &[]).is_some();
+    for number in 0..40 {
+        bench.fit_model(&terms(number), &[]).unwrap();
+        // It is compared with all others.
+        assert!(is_kept(0), "{number}");
+    }
+    assert_eq!(
+        (1..40).filter(|number| is_kept(*number)).collect::<Vec<_>>(),
+        (9..40).collect::<Vec<_>>()
+    );
+}
+
+#[test]
+fn recording_ends_with_the_workbench() {
+    let dir = WorkDir::empty();
+    let served = Served::start(&dir, &format!("{} --virtual", campaign("demo")));
+    for seconds in [json!(0), json!(-5), json!(0.5), json!(1e9), json!(null)] {
+        let request = json!({ "output": "never", "plan": null, "seconds": seconds });
+        let (status, answer) = served.ask("record", &request);
+        assert_eq!(status, 422, "{seconds}: {answer}");
+        let error = answer["error"].as_str().unwrap();
+        assert!(error.contains("1 to 36000 seconds"), "{error}");
+    }
+    assert!(!dir.path("never").exists());
+    let children = || -> Vec<u32> {
+        let id = served.id();
+        let tasks = std::fs::read_dir(format!("/proc/{id}/task")).unwrap();
+        let of = |task: std::fs::DirEntry| std::fs::read_to_string(task.path().join("children"));
+        let all: String = tasks.map(|task| of(task.unwrap()).unwrap_or_default()).collect();
+        all.split_whitespace().map(|child| child.parse().unwrap()).collect()
+    };
+    let runs = |process: u32| {
+        let state = std::fs::read_to_string(format!("/proc/{process}/stat"));
+        state.is_ok_and(|state| !state.rsplit(") ").next().unwrap().starts_with('Z'))
+    };
+    let until = |what: &str, is_so: &dyn Fn() -> bool| {
+        let begun = Instant::now();
+        while !is_so() {
+            assert!(begun.elapsed() < Duration::from_secs(60), "{what}");
+            std::thread::sleep(Duration::from_millis(50));
+        }
+    };
+    let record = |output: &str| {
+        let request = json!({ "output": output, "plan": null, "seconds": 3600 });
+        let (status, answer) = served.ask("record", &request);
+        assert_eq!(status, 200, "{answer}");
+        let table = dir.path(&format!("{output}/hall.csv"));
+        until("no rows", &|| table.metadata().is_ok_and(|of| of.len() > 20_000));
+    };
+    record("first");
+    assert_eq!(served.ask("end-recording", &json!({})).0, 200);
+    until("it does not end", &|| served.ask("live", &json!({})).1["recording"]["goes_on"] == false);
+    // Its number may be that of another process by now.
+    let (status, answer) = served.ask("end-recording", &json!({}));
+    assert_eq!((status, answer["error"].as_str()), (422, Some("the recording has ended")));
+    record("second");
+    let children = children();
+    assert_eq!(children.len(), 1);
+    served.kill();
+    until("the recording survives", &|| children.iter().all(|child| !runs(*child)));
+    for name in ["first", "second"] {
+        let recording = Recording::read(&dir.path(name), Alignment { delay_us: 0.0 });
+        assert!(recording.unwrap().span_s() > 0.1, "{name}");
+    }
 }

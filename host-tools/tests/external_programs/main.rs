@@ -26,8 +26,12 @@ mod unix {
     use std::num::NonZeroUsize;
     use std::process::ExitCode;
     use std::sync::atomic::{AtomicBool, Ordering};
+    use std::time::Duration;
 
     use firmware::config::constants;
+    use firmware::grip::states::PowerState;
+    use firmware::protocol::messages::{Heartbeat, Message};
+    use firmware::protocol::{DEFAULT_NODE, PROTOCOL_VERSION, frame_id};
     use firmware::system::faults::Fault;
     use libtest_mimic::{Arguments, Failed, Trial};
     use rustix::process::Signal;
@@ -78,6 +82,8 @@ mod unix {
             Trial::test("only_hosts_with_the_key_change_a_protected_gripper", keys),
             Trial::test("record_receives_every_tick_on_the_serial_line", record),
             Trial::test("a_socketcand_client_receives_heartbeats_until_ctrl_c", socketcand),
+            Trial::test("clients_together_send_what_the_bus_carries", flood),
+            Trial::test("a_stranger_ends_no_grasp", stranger),
             Trial::test("a_profile_has_load_deadlines_and_stack", profile),
             Trial::test("settings_survive_in_a_flash_file", flash_file),
             Trial::test("an_image_that_is_none_is_refused", refused),
@@ -218,6 +224,78 @@ mod unix {
         assert_eq!(last["version"]["protocol"][0], 2, "{last}");
         assert_eq!(last["heartbeat"]["sensors_ok"], 0b1111);
         is_clean(&emulation.end());
+        Ok(())
+    }
+
+    fn flood() -> Result<(), Failed> {
+        let dir = WorkDir::empty();
+        let emulation = Emulation::start(&dir, &path(Variant::Default)?, "--json");
+        let client = || -> std::io::Result<TcpStream> {
+            let mut stream = TcpStream::connect(&emulation.can)?;
+            stream.write_all(b"< open can0 >< rawmode >")?;
+            Ok(stream)
+        };
+        let (observer, flood, urgent) = (client()?, [client()?, client()?], client()?);
+        for mut stream in flood {
+            let frames = "< send 7F0 8 1 2 3 4 5 6 7 8 >".repeat(100);
+            // Until the emulation ends.
+            std::thread::spawn(move || while stream.write_all(frames.as_bytes()).is_ok() {});
+        }
+        let (mut time_us, mut bits, mut forged) = ([None, None], 0.0, 0);
+        for element in BufReader::new(observer).split(b'>') {
+            let element = String::from_utf8(element?)?;
+            let words: Vec<&str> = element.split_whitespace().collect();
+            let [_, "frame", id, at_s, data] = words[..] else { continue };
+            let at_us = 1e6 * at_s.parse::<f64>()?;
+            // From the end of the first frame; without stuffing.
+            if time_us[0].is_some() {
+                bits += 47.0 + 4.0 * data.len() as f64;
+            }
+            time_us = [time_us[0].or(Some(at_us)), Some(at_us)];
+            forged += u32::from(id == "7F0");
+            if forged == 2000 {
+                (&urgent).write_all(b"< send 001 1 0 >")?;
+            }
+            if forged >= 2000 && id == "001" {
+                break;
+            }
+            assert!(forged < 4000, "a frame of the highest priority waits behind {forged}");
+        }
+        let passed_us = time_us[1].unwrap_or(0.0) - time_us[0].unwrap_or(0.0);
+        // A bit takes a microsecond; those that are stuffed are not counted.
+        assert!((0.6..=1.0).contains(&(bits / passed_us)), "{bits} bits in {passed_us} us");
+        let measured = emulation.end();
+        assert_eq!(measured["dropped_frames"], 0, "{measured}");
+        Ok(())
+    }
+
+    fn stranger() -> Result<(), Failed> {
+        let dir = WorkDir::empty();
+        let options = format!("--opening 3 --object 40 {SLOW}");
+        let emulation = Emulation::start(&dir, &path(Variant::Nominal)?, &options);
+        emulation.allow_delays(&dir);
+        let mut stranger = TcpStream::connect(&emulation.can)?;
+        stranger.write_all(b"< open can0 >")?;
+        // Heartbeats of the gripper's number: of another version, and of a fault.
+        std::thread::spawn(move || {
+            let own = PROTOCOL_VERSION.0;
+            for (protocol_major, state) in
+                [(own + 1, PowerState::Safe), (own, PowerState::Fault)].repeat(50)
+            {
+                let beat = Heartbeat { protocol_major, state: state as u8, ..Heartbeat::default() };
+                let bytes = Message::Heartbeat(beat).to_bytes().map(|byte| format!("{byte:02X} "));
+                let id = frame_id(DEFAULT_NODE, Heartbeat::LAYOUT.number);
+                let frame = format!("< send {id:03X} 8 {}>", bytes.concat());
+                if stranger.write_all(frame.as_bytes()).is_err() {
+                    return;
+                }
+                std::thread::sleep(Duration::from_millis(700));
+            }
+        });
+        let line = format!("grasp --can {} --home --force 60 --seconds 2 --json", emulation.can);
+        let outcome = dir.json(&line);
+        assert_eq!(outcome["reached"], true, "{outcome}");
+        emulation.end();
         Ok(())
     }
 

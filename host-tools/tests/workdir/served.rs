@@ -5,6 +5,7 @@
 use std::io::{Read, Write};
 use std::net::TcpStream;
 
+use rustix::process::Signal;
 use serde_json::Value;
 
 use crate::workdir::WorkDir;
@@ -12,7 +13,7 @@ use crate::workdir::running::Running;
 
 /// A running server with its address and token.
 pub struct Served {
-    _running: Running,
+    running: Running,
     pub host: String,
     pub token: String,
 }
@@ -23,7 +24,28 @@ impl Served {
         let mut running = Running::start(dir, &format!("workbench {campaign} --json"));
         let url = running.objects().next().unwrap()["url"].as_str().unwrap().to_owned();
         let (host, token) = url.strip_prefix("http://").unwrap().split_once("/?token=").unwrap();
-        Self { host: host.to_owned(), token: token.to_owned(), _running: running }
+        Self { host: host.to_owned(), token: token.to_owned(), running }
+    }
+
+    /// Number of its process.
+    pub fn id(&self) -> u32 {
+        self.running.0.id()
+    }
+
+    /// Ends it without a word.
+    pub fn kill(&self) {
+        self.running.signal(Signal::KILL);
+    }
+
+    /// Status of a request without a body, if it is answered.
+    pub fn status(&self, line: &str) -> Option<u16> {
+        let mut stream = TcpStream::connect(&self.host).ok()?;
+        let request =
+            format!("{line} HTTP/1.1\r\nhost: {}\r\nconnection: close\r\n\r\n", self.host);
+        stream.write_all(request.as_bytes()).ok()?;
+        let mut answer = Vec::new();
+        let _ = stream.read_to_end(&mut answer);
+        String::from_utf8_lossy(&answer).split(' ').nth(1)?.parse().ok()
     }
 
     /// Status and body of a request with these header lines.

@@ -16,6 +16,7 @@ use crate::fit::linearisation::{
 };
 use crate::fit::problem::SensorProblem;
 use crate::physics::PhysicalState;
+use crate::stop;
 use std::sync::Arc;
 
 /// Rows of a recording that the search uses.
@@ -264,7 +265,10 @@ fn refined(grid: &[f64]) -> Vec<f64> {
 fn select_value(searches: &mut [ShapeSearch], i: usize, j: usize, tried: &[f64], across: bool) {
     let by_sensor: Vec<Vec<Vec<f64>>> = tried
         .par_iter()
-        .map(|&value| searches.iter().map(|s| s.residuals(i, j, value, across)).collect())
+        .map(|&value| {
+            stop::check();
+            searches.iter().map(|s| s.residuals(i, j, value, across)).collect()
+        })
         .collect();
     let sum = |of_sensors: &Vec<Vec<f64>>| {
         let mut sum: Vec<f64> = Vec::new();

@@ -10,6 +10,7 @@ use crate::fit::cross_validation::noise_variance;
 use crate::fit::parameters::FreeParameter;
 use crate::fit::rows::SensorRows;
 use crate::physics::{FieldResponse, PhysicalState};
+use crate::stop;
 
 /// Step of numerical derivatives of the states, in prior widths.
 const STEP: f64 = 1e-4;
@@ -182,6 +183,7 @@ impl<'a> SensorProblem<'a> {
         let stiffness = self.base.stiffness(&values);
         let mut modelled = ModelledFields::with_capacity(states.len());
         for states in states.chunks(BLOCK_ROWS) {
+            stop::check();
             let responses = self.base.responses(&values[..self.base_count], states);
             responses.iter().for_each(|response| modelled.push(response, stiffness));
         }
@@ -256,6 +258,7 @@ impl<'a> SensorProblem<'a> {
         let mut jacobian = DMatrix::zeros(3 * BLOCK_ROWS.min(states.len()), acting.len());
         let mut responses = Vec::with_capacity(BLOCK_ROWS);
         for (block, states) in states.chunks(BLOCK_ROWS).enumerate() {
+            stop::check();
             responses.clear();
             let base_values = &values[..self.base_count];
             self.base.linearise(base_values, states, &mut |response, columns| {

@@ -17,6 +17,7 @@ use crate::fit::rows::{SensorRows, pair};
 use crate::fit::tall_products::{columns, gram, products};
 use crate::physics::sensor::force_per_field;
 use crate::physics::{FieldResponse, PhysicalState};
+use crate::stop;
 use nalgebra::{DMatrix, DVector, Matrix2x3, Matrix3, Vector3};
 use rayon::prelude::*;
 
@@ -157,6 +158,7 @@ impl<'a> ScoreTest<'a> {
 
     /// Score of `candidate`; `None` where the field does not depend on it.
     pub fn score(&self, candidate: &EffectTerm) -> Option<CandidateScore> {
+        stop::check();
         let mut effects = self.effects.clone();
         effects.push(candidate.clone());
         effects.sort_by_key(EffectTerm::stage);

@@ -248,11 +248,10 @@ fn predictions(seed: u64, folder: &Path) -> Result<Vec<Prediction>> {
 
 fn clicks(campaign: &Path, hidden: &str) -> Result<Vec<Prediction>> {
     let alignment = Alignment { delay_us: 0.0 };
-    let Ok(mut bench) = Workbench::open(campaign, alignment, FitOptions::default())? else {
+    let Ok(bench) = Workbench::open(campaign, alignment, FitOptions::default())? else {
         bail!("{}: setup errors", campaign.display());
     };
-    bench.fit_model(&[], &[])?;
-    let base = bench.fitted(&[], &[]).context("no base model")?;
+    let base = bench.fit_model(&[], &[])?;
     let candidates = base.candidates.clone();
     let mut found = Vec::new();
     for candidate in candidates {

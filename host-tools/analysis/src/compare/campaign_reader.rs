@@ -12,6 +12,7 @@ use model_export::recordings::in_order;
 use model_export::recordings::recording::fingerprint;
 use model_export::recordings::recording::recording_name;
 use model_export::recordings::{Campaign, DataError, Recording};
+use model_export::stop;
 use rayon::prelude::*;
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
@@ -164,6 +165,7 @@ impl CampaignReader {
         if let Some(campaign) = &self.cache {
             return Ok(Cow::Borrowed(&campaign.recordings[place]));
         }
+        stop::check();
         let named = &self.names[place];
         let recording = Recording::read(&named.folder, self.alignment)?;
         Ok(Cow::Owned(recording.with_sha256(&named.sha256)))

@@ -22,6 +22,7 @@ use anyhow::Result;
 use model_export::recordings::align::Alignment;
 use model_export::recordings::campaign::recording_folders;
 use model_export::recordings::{Campaign, Location};
+use model_export::stop;
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -152,6 +153,7 @@ pub fn scan_files(
     let recordings: Vec<RecordingScan> = folders
         .par_iter()
         .map(|folder| {
+            stop::check();
             let scan = RecordingScan::read(folder, folders.len());
             read(&scan.name);
             scan
@@ -159,6 +161,7 @@ pub fn scan_files(
         .collect();
     let mut context = CheckContext::new(&recordings);
     for Check { id, in_files, .. } in CHECKS {
+        stop::check();
         let found = match in_files {
             Some(check) => check(&context),
             None if id == CLOCK_OFFSET => {

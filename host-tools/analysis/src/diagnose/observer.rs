@@ -1,5 +1,6 @@
 //! Progress of a diagnosis, its first answer, and the request to end it early.
 
+use model_export::stop;
 use std::cell::Cell;
 
 use crate::diagnose::candidates::ScreenedEffect;
@@ -94,6 +95,7 @@ impl<'a> Observer<'a> {
 
     /// Whether to end with what is known.
     pub(super) fn is_stopped(&self) -> bool {
+        stop::check();
         if (self.is_stopped)() {
             self.was_stopped.set(true);
         }

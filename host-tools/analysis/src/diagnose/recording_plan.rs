@@ -21,6 +21,7 @@ use model_export::fit::problem::SensorProblem;
 use model_export::fit::rows::{RecordingRows, SensorRows};
 use model_export::fit::score_test::ScoreTest;
 use model_export::recordings::columns::{Axis, COVARIATES, STATOR_CURRENTS};
+use model_export::stop;
 use nalgebra::Vector3;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -371,6 +372,7 @@ impl Planner<'_> {
             let scored: Vec<(f64, RecordingPlan)> = steps
                 .into_par_iter()
                 .map(|step| {
+                    stop::check();
                     let mut longer = plan.clone();
                     longer.steps.push(step);
                     (total(Some(&longer)), longer)

@@ -17,6 +17,7 @@ use model_export::inverse::compensation::OwnedCompensation;
 use model_export::inverse::grbf::{Grbf, GrbfLanes};
 use model_export::recordings::DataError;
 use model_export::recordings::stream::{RawRow, RawStream};
+use model_export::stop;
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
@@ -240,6 +241,7 @@ pub fn replay_each(
     let mut reading = read(&mut rows)?;
     let mut count = 0;
     while !rows.is_empty() {
+        stop::check();
         count += rows.len() as u64;
         let evaluate = |replay: &mut ModelReplay| {
             replay.evaluation.result.spent += reading;

@@ -30,6 +30,8 @@ pub struct CommandLog {
     lines: Option<(Sender<String>, LineFormat)>,
     state: Option<u8>,
     active_faults: Vec<String>,
+    /// Whether messages of a stranger were reported.
+    knows_stranger: bool,
     line_s: f64,
     point_s: f64,
     points: Vec<Value>,
@@ -78,6 +80,13 @@ impl CommandLog {
             }
         }
         (self.state, self.active_faults) = (state, faults);
+        if let Some(stranger) =
+            format::stranger_line(&client.state).filter(|_| !self.knows_stranger)
+        {
+            self.knows_stranger = true;
+            self.note(&format!("Note: {stranger}."));
+            self.event("other_protocol", &json!({ "time_s": rounded(now_s) }));
+        }
         if is_new || state.is_some() && now_s >= self.line_s + LINE_PERIOD_S {
             self.line_s = now_s;
             let line = self.line(client);

@@ -52,6 +52,8 @@ pub struct Session {
     pub(super) has_enabled: bool,
     /// The drive has been enabled in this session, by whoever it was.
     was_enabled: bool,
+    /// Time of the first of the latest heartbeats that say that the gripper was stopped.
+    stopped_s: Option<f64>,
     /// A command of this session that moves the fingers was sent.
     pub(super) has_commanded: bool,
     /// What is gripped, and the ground contact, are of this session.
@@ -110,6 +112,7 @@ impl Session {
             is_shutting_down: false,
             has_enabled: false,
             was_enabled: false,
+            stopped_s: None,
             has_commanded: false,
             owns_grip: false,
             owns_foot: false,
@@ -547,12 +550,17 @@ impl Session {
     }
 
     /// Fails after a fault reaction or a refused command.
-    fn check(&self) -> Result<()> {
+    fn check(&mut self) -> Result<()> {
         let code = self.code().unwrap_or(0);
         let is_stopped = self.was_enabled && code < TASK_CODE
             || [PowerState::QuickStop, PowerState::FaultReaction, PowerState::Fault]
                 .iter()
                 .any(|power| *power as u8 == code);
+        // One heartbeat may be a stranger's: the gripper's own next one repeats the state.
+        let beat_s = self.client.state.heartbeat.map(|beat| beat.at_s);
+        let first_s = self.stopped_s.take();
+        self.stopped_s = first_s.or(beat_s).filter(|_| is_stopped);
+        let is_stopped = self.stopped_s.is_some_and(|first_s| beat_s > Some(first_s));
         if is_stopped && self.client.is_armed() && !self.is_shutting_down {
             return Err(
                 ResultCode::Fault.error(format!("the gripper was stopped{}", self.faults()))

@@ -21,7 +21,7 @@ use firmware::grip::states::{TASK_CODE, TaskState};
 use firmware::protocol::DEFAULT_NODE;
 use firmware::protocol::can::CanFrame;
 use firmware::protocol::messages::{FaultEvent, Message};
-use firmware::protocol::serial::{Packet, PacketDecoder};
+use firmware::protocol::serial::{BAUD_RATE, Packet, PacketDecoder};
 
 use crate::pty::Pty;
 use crate::socket_can::Bridge;
@@ -29,14 +29,19 @@ use crate::socketcand::server::Server;
 use crate::source::packet;
 use deadlines::{Clocks, Deadlines, FrameDelays};
 use sim::board::SimulatedBoard;
+use sim::board::can::CanBus;
 use sim::closed_loop::coupling::SharedGripper;
 use sim::closed_loop::emulated_board::EmulatedBoard;
 use sim::drivetrain::mechanics::Object;
 
 /// Interval of exchanges with the ports: short against the command period and the firmware's timeouts.
 pub const STEP: Time = Time::from_ms(1);
-/// Maximum number of queued frames of other nodes.
-const WAITING: usize = 512;
+/// Frames of other nodes that wait for the bus, at least as many as it carries in a step: further ones wait at their senders.
+const WAITING: usize = 32;
+/// The same of an interface of this machine, whose senders do not wait; further ones are lost.
+const BRIDGED: usize = 512;
+/// Bytes that the serial line carries in a step: further ones wait at their sender.
+const STEP_BYTES: usize = BAUD_RATE as usize / 10_000;
 /// Clearance in mm when an object is placed between the fingers.
 const CLEARANCE_M: f64 = 0.5e-3;
 
@@ -49,10 +54,27 @@ pub enum CanPort {
 }
 
 impl CanPort {
-    fn exchange(&mut self, sent: &[(u64, CanFrame)]) -> Result<Vec<CanFrame>> {
+    /// Hands on what was on the bus, and puts frames of other nodes on it as far as it has room; returns the number of those that
+    /// had none.
+    fn exchange(&mut self, sent: &[(u64, CanFrame)], bus: &mut CanBus) -> Result<u64> {
         match self {
-            Self::Server(server) => Ok(server.exchange(sent)),
-            Self::Interface(bridge) => bridge.exchange(sent.iter().map(|(_, frame)| *frame)),
+            Self::Server(server) => {
+                let others = bus.other_frames.get_or_insert_default();
+                server.exchange(sent, &std::mem::take(others));
+                while bus.waiting() < WAITING
+                    && let Some(frame) = server.next_frame()
+                {
+                    bus.put(frame);
+                }
+                Ok(0)
+            }
+            Self::Interface(bridge) => {
+                let mut dropped = 0;
+                for frame in bridge.exchange(sent.iter().map(|(_, frame)| *frame))? {
+                    if bus.waiting() < BRIDGED { bus.put(frame) } else { dropped += 1 }
+                }
+                Ok(dropped)
+            }
         }
     }
 
@@ -191,9 +213,10 @@ impl Emulation {
             }
         }
         self.pty.send_latest(&sent.bytes)?;
-        let mut bytes = [0; 256];
-        let count = self.pty.take(&mut bytes)?;
         let mut line = self.board.connections.line.borrow_mut();
+        let mut bytes = [0; STEP_BYTES];
+        let room = STEP_BYTES.saturating_sub(line.waiting());
+        let count = self.pty.take(&mut bytes[..room])?;
         bytes.iter().take(count).for_each(|byte| line.put(*byte));
         Ok(())
     }
@@ -219,12 +242,9 @@ impl Emulation {
                 _ => {}
             }
         }
-        let received = self.can.exchange(&sent)?;
-        notices.extend(self.can.take_notices().into_iter().map(Notice::Port));
         let mut bus = self.board.connections.can.borrow_mut();
-        for frame in received {
-            if bus.waiting() < WAITING { bus.put(frame) } else { self.dropped_frames += 1 }
-        }
+        self.dropped_frames += self.can.exchange(&sent, &mut bus)?;
+        notices.extend(self.can.take_notices().into_iter().map(Notice::Port));
         Ok(())
     }
 

@@ -165,9 +165,9 @@ mod tests {
             let beat = Heartbeat { counter: 5, ..Heartbeat::default() };
             let frame = CanFrame::from_bytes(frame_id(DEFAULT_NODE, 1), beat.to_bytes());
             loop {
-                let received = server.exchange(&[(7, frame)]);
-                if let Some(frame) = received.first() {
-                    return *frame;
+                server.exchange(&[(7, frame)], &[]);
+                if let Some(frame) = server.next_frame() {
+                    return frame;
                 }
                 thread::sleep(Duration::from_millis(1));
             }

@@ -1,5 +1,6 @@
 //! Server: clients on this machine, each a node of the bus.
 
+use std::collections::VecDeque;
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::{Ipv4Addr, SocketAddr, TcpListener, TcpStream};
 
@@ -10,12 +11,18 @@ use crate::socketcand::{Element, Elements};
 
 /// Maximum number of unread bytes before a client is disconnected.
 const UNREAD: usize = 1 << 20;
+/// Frames of a client that wait for the bus; then it is not read until some are sent.
+const WAITING: usize = 64;
+/// Clients at a time.
+const MAX_CLIENTS: usize = 64;
 
 /// Server state.
 pub struct Server {
     listener: TcpListener,
     address: SocketAddr,
     clients: Vec<Client>,
+    /// Senders of the frames that the bus has taken and not sent yet.
+    on_bus: VecDeque<SocketAddr>,
     /// Client events since the last call of [`Self::take_notices`].
     notices: Vec<String>,
 }
@@ -28,6 +35,8 @@ struct Client {
     is_open: bool,
     is_raw: bool,
     unsent: Vec<u8>,
+    /// Frames that wait for the bus.
+    received: VecDeque<CanFrame>,
 }
 
 impl Server {
@@ -41,7 +50,13 @@ impl Server {
         })?;
         listener.set_nonblocking(true)?;
         let address = listener.local_addr()?;
-        Ok(Self { listener, address, clients: Vec::new(), notices: Vec::new() })
+        Ok(Self {
+            listener,
+            address,
+            clients: Vec::new(),
+            on_bus: VecDeque::new(),
+            notices: Vec::new(),
+        })
     }
 
     /// Address for clients.
@@ -49,43 +64,44 @@ impl Server {
         self.address
     }
 
-    /// Sends the bus's frames, with times in microseconds, to the clients and returns the clients' frames.
-    /// Does not block.
-    pub fn exchange(&mut self, sent: &[(u64, CanFrame)]) -> Vec<CanFrame> {
+    /// Sends what was on the bus, frames of the board and of clients, with times in microseconds, and reads the clients. Does not
+    /// block.
+    pub fn exchange(&mut self, board: &[(u64, CanFrame)], of_clients: &[(u64, CanFrame)]) {
         self.accept();
-        let mut text = String::new();
-        for &(time_us, frame) in sent {
-            text += &Element::Frame(frame, time_us).to_string();
+        for &(time_us, frame) in board {
+            self.send(None, frame, time_us);
         }
-        for client in self.clients.iter_mut().filter(|client| client.is_raw) {
+        for &(time_us, frame) in of_clients {
+            // The bus keeps the order of its frames.
+            let sender = self.on_bus.pop_front();
+            self.send(sender, frame, time_us);
+        }
+        let notices = &mut self.notices;
+        self.clients.retain_mut(|client| {
+            let ended = client.read(notices).and_then(|()| client.write());
+            if let Err(reason) = &ended {
+                notices.push(format!("CAN client {} left: {reason}", client.address));
+            }
+            ended.is_ok()
+        });
+    }
+
+    /// Sends a frame to all clients but its sender.
+    fn send(&mut self, sender: Option<SocketAddr>, frame: CanFrame, time_us: u64) {
+        let text = Element::Frame(frame, time_us).to_string();
+        let receive = |client: &&mut Client| client.is_raw && Some(client.address) != sender;
+        for client in self.clients.iter_mut().filter(receive) {
             client.unsent.extend_from_slice(text.as_bytes());
         }
-        let time_us = sent.last().map_or(0, |(time_us, _)| *time_us);
-        let mut received = Vec::new();
-        let mut place = 0;
-        while let Some(client) = self.clients.get_mut(place) {
-            let first = received.len();
-            let ended = client.read(&mut received, &mut self.notices).and_then(|()| client.write());
-            // The other clients are nodes of the same bus.
-            let others: String = received
-                .iter()
-                .skip(first)
-                .map(|&frame| Element::Frame(frame, time_us).to_string())
-                .collect();
-            for (number, other) in self.clients.iter_mut().enumerate() {
-                if number != place && other.is_raw {
-                    other.unsent.extend_from_slice(others.as_bytes());
-                }
-            }
-            match ended {
-                Ok(()) => place += 1,
-                Err(reason) => {
-                    let client = self.clients.remove(place);
-                    self.notices.push(format!("CAN client {} left: {reason}", client.address));
-                }
-            }
-        }
-        received
+    }
+
+    /// Frame with which a client's node wins the bus: that of the highest priority.
+    pub fn next_frame(&mut self) -> Option<CanFrame> {
+        let waiting = self.clients.iter_mut().filter(|client| !client.received.is_empty());
+        let first =
+            waiting.min_by_key(|client| client.received.front().map(CanFrame::identifier))?;
+        self.on_bus.push_back(first.address);
+        first.received.pop_front()
     }
 
     /// Client events since the last call.
@@ -96,7 +112,7 @@ impl Server {
     fn accept(&mut self) {
         // A client that disconnects before it is accepted is not an error.
         while let Ok((stream, address)) = self.listener.accept() {
-            if stream.set_nonblocking(true).is_err() {
+            if self.clients.len() >= MAX_CLIENTS || stream.set_nonblocking(true).is_err() {
                 continue;
             }
             // Send each short frame immediately, without waiting for acknowledgements.
@@ -109,18 +125,18 @@ impl Server {
                 is_open: false,
                 is_raw: false,
                 unsent: Element::Hi.to_string().into_bytes(),
+                received: VecDeque::new(),
             });
         }
     }
 }
 
 impl Client {
-    /// Handles received bytes; appends frames. The error is the reason for disconnecting the client.
-    fn read(
-        &mut self,
-        received: &mut Vec<CanFrame>,
-        notices: &mut Vec<String>,
-    ) -> Result<(), String> {
+    /// Handles received bytes, unless frames wait for the bus. The error is the reason for disconnecting the client.
+    fn read(&mut self, notices: &mut Vec<String>) -> Result<(), String> {
+        if self.received.len() >= WAITING {
+            return Ok(());
+        }
         let mut bytes = [0; 1024];
         let count = match self.stream.read(&mut bytes) {
             Ok(0) => return Err("it closed the connection".to_owned()),
@@ -131,7 +147,7 @@ impl Client {
         for &byte in bytes.iter().take(count) {
             let answer = match self.elements.take(byte) {
                 None => continue,
-                Some(Ok(element)) => self.handle(element, received),
+                Some(Ok(element)) => self.handle(element),
                 Some(Err(reason)) => Some(Element::Error(reason)),
             };
             if let Some(Element::Error(reason)) = &answer {
@@ -143,7 +159,7 @@ impl Client {
     }
 
     /// Reply to an element.
-    fn handle(&mut self, element: Element, received: &mut Vec<CanFrame>) -> Option<Element> {
+    fn handle(&mut self, element: Element) -> Option<Element> {
         match element {
             // There is one bus; its name is ignored.
             Element::Open(_) => {
@@ -159,7 +175,7 @@ impl Client {
                 Some(Element::Ok)
             }
             Element::Send(frame) => {
-                received.push(frame);
+                self.received.push_back(frame);
                 None
             }
             Element::Hi | Element::Ok | Element::Frame(..) | Element::Error(_) => {
@@ -195,14 +211,26 @@ fn is_pending(error: &io::Error) -> bool {
 mod tests {
     use std::time::Duration;
 
+    use emulator::Time;
+    use emulator::devices::CanBus as _;
+    use sim::board::can::CanBus;
+
     use super::*;
+
+    /// A bus that sends each frame at once.
+    fn exchange(server: &mut Server) -> Vec<CanFrame> {
+        let sent: Vec<CanFrame> = std::iter::from_fn(|| server.next_frame()).collect();
+        let on_bus: Vec<(u64, CanFrame)> = sent.iter().map(|frame| (0, *frame)).collect();
+        server.exchange(&[], &on_bus);
+        sent
+    }
 
     /// Next text from the server, which runs meanwhile.
     fn reply(server: &mut Server, stream: &mut TcpStream) -> String {
         stream.set_read_timeout(Some(Duration::from_millis(1))).unwrap();
         let mut bytes = [0; 1024];
         loop {
-            server.exchange(&[]);
+            exchange(server);
             if let Ok(count) = stream.read(&mut bytes) {
                 return String::from_utf8_lossy(&bytes[..count]).into_owned();
             }
@@ -222,12 +250,12 @@ mod tests {
         assert_eq!(ask(&mut server, &mut stream, "< open can0 >"), "< ok >");
         assert_eq!(ask(&mut server, &mut stream, "< rawmode >"), "< ok >");
         let frame = CanFrame::from_bytes(0x201, [1, 2, 3, 4, 5, 6, 7, 8]);
-        server.exchange(&[(1_500_000, frame)]);
+        server.exchange(&[(1_500_000, frame)], &[]);
         assert_eq!(reply(&mut server, &mut stream), "< frame 201 1.500000 0102030405060708 >");
         stream.write_all(b"< send 203 8 1 2 3 4 5 6 7 8 >").unwrap();
         let mut received = Vec::new();
         while received.is_empty() {
-            received = server.exchange(&[]);
+            received = exchange(&mut server);
         }
         assert_eq!(received, [CanFrame::from_bytes(0x203, [1, 2, 3, 4, 5, 6, 7, 8])]);
     }
@@ -244,7 +272,7 @@ mod tests {
         assert_eq!(ask(&mut server, &mut stream, "< echo >"), "< echo >");
         drop(stream);
         while !server.clients.is_empty() {
-            server.exchange(&[]);
+            exchange(&mut server);
         }
         let notices = server.take_notices().join("\n");
         assert!(notices.contains("nonsense") && notices.contains("left"), "{notices}");
@@ -263,5 +291,52 @@ mod tests {
         first.write_all(b"< send 123 1 7 >").unwrap();
         assert_eq!(reply(&mut server, second), "< frame 123 0.000000 07 >");
         assert_eq!(ask(&mut server, first, "< echo >"), "< echo >");
+    }
+    #[test]
+    fn frames_of_clients_take_their_time_on_the_bus() {
+        let mut server = Server::open(0).unwrap();
+        let mut streams = [(); 3].map(|()| TcpStream::connect(server.address()).unwrap());
+        for stream in &mut streams {
+            reply(&mut server, stream);
+            ask(&mut server, stream, "< open can0 >");
+            ask(&mut server, stream, "< rawmode >");
+        }
+        let [flood, other, urgent] = streams;
+        // Until the server does not take more.
+        flood.set_nonblocking(true).unwrap();
+        let _ = (&flood).write_all("< send 223 8 1 2 3 4 5 6 7 8 >".repeat(1 << 17).as_bytes());
+        other.set_nonblocking(true).unwrap();
+        let mut bus = CanBus::default();
+        bus.other_frames = Some(Vec::new());
+        let mut text = Vec::new();
+        let mut urgent_ms = None;
+        // A second of the bus.
+        for ms in 1..=1000 {
+            let now = Time::from_ms(ms);
+            while bus.next_event() <= now {
+                let at = bus.next_event().max(Time::from_ms(ms - 1));
+                while bus.take_event(at).is_some() {}
+            }
+            if ms == 500 {
+                (&urgent).write_all(b"< send 001 0 >").unwrap();
+            }
+            let heard = std::mem::take(bus.other_frames.as_mut().unwrap());
+            if heard.iter().any(|(_, frame)| frame.identifier() == 1) {
+                urgent_ms = Some(ms);
+            }
+            server.exchange(&[], &heard);
+            while bus.waiting() < 32
+                && let Some(frame) = server.next_frame()
+            {
+                bus.put(frame);
+            }
+            let _ = (&other).read_to_end(&mut text);
+        }
+        let count = String::from_utf8_lossy(&text).matches("< frame 223").count();
+        // 135 bits a frame at 1 Mbit/s: 7407 a second.
+        assert!((6000..=7410).contains(&count), "{count} frames in a second");
+        // A frame of a higher priority waits for those that the bus has taken.
+        assert!(urgent_ms.is_some_and(|ms| ms <= 600), "{urgent_ms:?}");
+        assert!(server.clients.iter().all(|client| client.received.len() < 256));
     }
 }

@@ -4,6 +4,7 @@ use firmware::compensation::covariates::Covariates;
 use firmware::config::constants::TICK_US;
 use firmware::estimator::Validity;
 use firmware::fixed_point::Force;
+use firmware::protocol::PROTOCOL_VERSION;
 use firmware::protocol::force_newtons;
 use firmware::protocol::layout::{Direction, decode};
 use firmware::protocol::messages::{
@@ -90,6 +91,42 @@ pub struct LostMessages {
     pub restarts: u32,
 }
 
+/// Time in seconds after which messages of another protocol are those of the gripper, if none of the own protocol arrives between
+/// them: ten heartbeats.
+const OTHER_PROTOCOL_S: f64 = 1.0;
+
+/// Heartbeats and versions of another major version of the protocol. Everybody can put one on a bus: it says nothing on the
+/// gripper while the gripper's own arrive.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct OtherProtocol {
+    /// Number of these messages.
+    pub messages: u64,
+    /// Version of the latest.
+    pub major: u8,
+    /// True while they are those of the gripper.
+    pub is_of_gripper: bool,
+    /// Time of the first since the last message of the own version.
+    since_s: Option<f64>,
+}
+
+impl OtherProtocol {
+    /// Whether a message has the own version, or none.
+    fn admits(&mut self, at_s: f64, message: &Message) -> bool {
+        let major = match message {
+            Message::Version(version) => version.protocol_major,
+            Message::Heartbeat(beat) => beat.protocol_major,
+            _ => return true,
+        };
+        if major == PROTOCOL_VERSION.0 {
+            (self.since_s, self.is_of_gripper) = (None, false);
+            return true;
+        }
+        (self.messages, self.major) = (self.messages + 1, major);
+        self.is_of_gripper = at_s - *self.since_s.get_or_insert(at_s) >= OTHER_PROTOCOL_S;
+        false
+    }
+}
+
 /// Complete state.
 #[derive(Clone, Debug, Default)]
 pub struct GripperState {
@@ -111,6 +148,8 @@ pub struct GripperState {
     pub faults: BTreeMap<(u16, Option<u8>), ActiveFault>,
     /// Lost messages.
     pub lost: LostMessages,
+    /// Messages of another protocol.
+    pub other_protocol: OtherProtocol,
     /// Board time in microseconds.
     pub board_us: Option<u64>,
     /// Time of the last message.
@@ -133,10 +172,11 @@ impl GripperState {
         self.received_s = Some(at_s);
         match packet {
             Packet::Tick(tick) => self.tick(at_s, tick),
-            Packet::Message { copy, message } => {
+            Packet::Message { copy, message } if self.other_protocol.admits(at_s, message) => {
                 self.count(*copy, message);
                 self.message(at_s, usize::from(*copy), message);
             }
+            Packet::Message { .. } => {}
         }
     }
 

@@ -54,7 +54,8 @@ fn lost_ticks_and_messages_are_counted_over_overflows() {
     }
     assert_eq!(state.lost.ticks, 2);
     for counter in [254, 255, 1] {
-        let heartbeat = Heartbeat { counter, ..Heartbeat::default() };
+        let heartbeat =
+            Heartbeat { counter, protocol_major: PROTOCOL_VERSION.0, ..Heartbeat::default() };
         state.update(0.1, &message(Message::Heartbeat(heartbeat)));
     }
     assert_eq!(state.lost.messages, 1);
@@ -86,7 +87,11 @@ fn heartbeat_adds_and_clears_faults_without_events() {
     let mut faults = FaultSet::default();
     let came = faults.update(Fault::BusOff, 0, true, 0).unwrap();
     let beat = |faults: &FaultSet| {
-        let heartbeat = Heartbeat { faults: faults.bits(), ..Heartbeat::default() };
+        let heartbeat = Heartbeat {
+            faults: faults.bits(),
+            protocol_major: PROTOCOL_VERSION.0,
+            ..Heartbeat::default()
+        };
         message(Message::Heartbeat(heartbeat))
     };
     state.update(1.0, &beat(&faults));

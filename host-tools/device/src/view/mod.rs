@@ -11,7 +11,7 @@ use ratatui::widgets::{Axis, Block, Cell, Chart, Dataset, GraphType, Paragraph, 
 
 use crate::format::{
     GripValues, covariates_line, degrees, fault_line, loss_line, power_line, state_name,
-    validity_name,
+    stranger_line, validity_name,
 };
 use crate::state::{GripperState, HISTORY_S, SensorState};
 
@@ -222,6 +222,7 @@ fn load(state: &GripperState) -> Paragraph<'static> {
         Some(loss_line) => Line::from(format!("lost: {loss_line}")).yellow(),
         None => Line::from("nothing lost"),
     });
+    lines.extend(stranger_line(state).map(|stranger| Line::from(stranger).yellow()));
     Paragraph::new(lines).wrap(Wrap { trim: true }).block(Block::bordered().title(" load "))
 }
 

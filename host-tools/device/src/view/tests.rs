@@ -1,9 +1,9 @@
 use firmware::compensation::covariates::{AccelerationSample, Covariates, MotorSample};
 use firmware::estimator::Estimate;
 use firmware::fixed_point::Force;
-use firmware::protocol;
 use firmware::protocol::messages::{Heartbeat, Message, Power, Timing, Version};
 use firmware::protocol::serial::{Packet, Tick};
+use firmware::protocol::{self, PROTOCOL_VERSION};
 use firmware::sensors::hall::{HallReading, SENSORS};
 use firmware::system::faults::{Fault, FaultSet};
 use ratatui::Terminal;
@@ -22,8 +22,12 @@ fn drawn(width: u16, height: u16, state: &GripperState, now_s: f64) -> String {
 fn pressed() -> GripperState {
     let mut state = GripperState::default();
     let mut say = |at_s, copy, message| state.update(at_s, &Packet::Message { copy, message });
-    let version =
-        Version { protocol_major: 1, firmware_minor: 1, tables: 0xBEEF, ..Version::default() };
+    let version = Version {
+        protocol_major: PROTOCOL_VERSION.0,
+        firmware_minor: 1,
+        tables: 0xBEEF,
+        ..Version::default()
+    };
     say(0.0, 0, Message::Version(version));
     let timing =
         Timing { worst_loop: 312, worst_inference: 108, i2c_errors: 7, ..Timing::default() };
@@ -78,7 +82,7 @@ fn the_view_shows_forces_with_sigma_faults_and_load() {
     println!("{page}");
     for text in [
         "/dev/pts/7 (virtual board)   1000 ticks/s   q: quit",
-        "firmware 0.1.0, protocol 1.0, board 0, tables beef, 12 s since its start",
+        "firmware 0.1.0, protocol 2.0, board 0, tables beef, 12 s since its start",
         "34.20   0.50",
         "no reading",
         "-113 9899 67",
@@ -103,12 +107,13 @@ fn silence_is_reported_and_no_force_without_messages() {
     assert!(page.contains("no heartbeat yet"));
     assert!(!page.contains("0.00"), "{page}");
     let mut state = pressed();
-    let message = Message::Heartbeat(Heartbeat::default());
+    let beat = Heartbeat { protocol_major: PROTOCOL_VERSION.0, ..Heartbeat::default() };
+    let message = Message::Heartbeat(beat);
     state.update(12.0, &Packet::Message { copy: 0, message });
     let page = drawn(100, 30, &state, 14.0);
     assert!(page.contains("silent for 2.0 s"), "{page}");
     assert!(page.contains("state: boot") && page.contains("no fault"), "{page}");
-    let stopped = Heartbeat { state: 2, stopped: true, ..Heartbeat::default() };
+    let stopped = Heartbeat { state: 2, stopped: true, ..beat };
     state.update(14.1, &Packet::Message { copy: 0, message: Message::Heartbeat(stopped) });
     let page = drawn(100, 30, &state, 14.2);
     assert!(page.contains("state: safe") && page.contains("a stop is latched"), "{page}");

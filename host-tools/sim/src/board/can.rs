@@ -51,6 +51,8 @@ pub struct CanBus {
     pub no_acknowledge: bool,
     /// Frames of the board with their end times in microseconds.
     pub board_frames: Vec<(u64, CanFrame)>,
+    /// The same of the other nodes, where somebody takes them.
+    pub other_frames: Option<Vec<(u64, CanFrame)>>,
     waker: Option<Waker>,
 }
 
@@ -111,6 +113,10 @@ impl CanBus {
     /// Completes a frame.
     fn end(&mut self, transfer: Transfer) {
         if !transfer.is_own {
+            let heard = self.other_frames.as_mut().zip(firmware_frame(&transfer.frame));
+            if let Some((heard, frame)) = heard {
+                heard.push((transfer.ends.us(), frame));
+            }
             self.events.push_back(CanEvent::Received(transfer.frame));
             return;
         }

@@ -34,6 +34,11 @@ pub struct SerialLink {
 }
 
 impl SerialLink {
+    /// Bytes that wait for the board.
+    pub fn waiting(&self) -> usize {
+        self.received.len()
+    }
+
     /// Sends a byte to the board.
     pub fn put(&mut self, byte: u8) {
         self.received.push_back(byte);

@@ -38,7 +38,7 @@ use device::recorder::{
     SensorRowAssembler,
 };
 use device::reference::{
-    HostPose, MAX_WAITING_ROWS, ReferenceClock, ReferenceMapping, ReferenceReader,
+    HostPose, MAX_WAITING_ROWS, ReferenceClock, ReferenceMapping, ReferenceReader, ReferenceSource,
 };
 use device::session::{Credentials, with_session};
 use device::source::{ConnectionLost, SILENCE, Source};
@@ -112,6 +112,9 @@ pub struct Args {
     /// Also write an MCAP file for Foxglove and others: readings, covariates, reference, the board's estimates and its state.
     #[arg(long, value_name = "FILE")]
     mcap: Option<PathBuf>,
+    /// End with standard input too, as with Ctrl-C: a program that started the recording takes it along, however it ends.
+    #[arg(long)]
+    end_with_stdin: bool,
     /// Print one JSON object on stdout and nothing else.
     #[arg(long)]
     json: bool,
@@ -138,6 +141,15 @@ pub fn run(args: &Args) -> Result<()> {
         SensorRowAssembler::of_ticks()
     };
     let reference = args.reference.read()?;
+    if args.end_with_stdin {
+        if reference.as_ref().is_some_and(|reference| reference.source == ReferenceSource::Stdin) {
+            bail!("standard input is the reference: leave out --end-with-stdin");
+        }
+        std::thread::spawn(|| {
+            let _ = std::io::copy(&mut std::io::stdin(), &mut std::io::sink());
+            signal_hook::low_level::raise(signal_hook::consts::SIGINT)
+        });
+    }
     let mapping = reference.as_ref().map(|reference| &reference.mapping);
     let columns = mapping.map(ReferenceMapping::force_columns);
     let columns = columns.filter(|columns| !columns.is_empty());

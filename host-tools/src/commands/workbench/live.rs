@@ -3,8 +3,9 @@
 
 use std::collections::VecDeque;
 use std::io::{BufRead, BufReader, Read};
+use std::ops::RangeInclusive;
 use std::path::PathBuf;
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::RecvTimeoutError;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -29,15 +30,19 @@ use device::session::check_protocol;
 
 /// Time after which the watching thread looks whether it should end.
 const WAIT: Duration = Duration::from_millis(100);
+/// Time for a recording to align its reference and to complete its files.
+const ENDING: Duration = Duration::from_secs(10);
 /// Lines of a recording that are shown.
 const SHOWN_LINES: usize = 12;
+/// Limits of a recording in seconds, as the page states them.
+const SECONDS: RangeInclusive<f64> = 1.0..=36_000.0;
 
 /// A recording to start: by a plan, or for a time.
 #[derive(Deserialize)]
 pub struct RecordRequest {
     output: PathBuf,
     plan: Option<PathBuf>,
-    seconds: f64,
+    seconds: Option<f64>,
 }
 
 /// A gripper that is watched in the background, but for uploads.
@@ -59,6 +64,10 @@ struct Watching {
 /// A recording by a process of its own, `magpie record`.
 struct RecordingProcess {
     child: Child,
+    /// It ends when this is closed: by [`RecordingProcess::end`], or with this process, however that ends.
+    stdin: Option<ChildStdin>,
+    /// When it was first asked to end.
+    asked: Option<Instant>,
     /// What it prints, the last lines.
     lines: Arc<Mutex<VecDeque<String>>>,
     readers: Vec<JoinHandle<()>>,
@@ -72,7 +81,8 @@ impl RecordingProcess {
         let mut child = Command::new(program)
             .arg("record")
             .args(arguments)
-            .stdin(Stdio::null())
+            .arg("--end-with-stdin")
+            .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
             .spawn()
@@ -94,12 +104,17 @@ impl RecordingProcess {
         let stdout = child.stdout.take().map(|pipe| Box::new(pipe) as Box<dyn Read + Send>);
         let stderr = child.stderr.take().map(|pipe| Box::new(pipe) as Box<dyn Read + Send>);
         let readers = vec![read(stdout), read(stderr)];
-        Ok(Self { child, lines, readers, uses_connection })
+        let stdin = child.stdin.take();
+        Ok(Self { child, stdin, asked: None, lines, readers, uses_connection })
+    }
+
+    fn goes_on(&mut self) -> bool {
+        matches!(self.child.try_wait(), Ok(None))
     }
 
     /// Whether it goes on, and what it printed.
     fn status(&mut self) -> (bool, String) {
-        let goes_on = matches!(self.child.try_wait(), Ok(None));
+        let goes_on = self.goes_on();
         if !goes_on {
             // What was printed last.
             self.readers.drain(..).for_each(|reader| drop(reader.join()));
@@ -108,23 +123,13 @@ impl RecordingProcess {
         (goes_on, lines.iter().map(String::as_str).collect::<Vec<_>>().join("\n"))
     }
 
-    /// Asks it to end, as Ctrl-C does; what was recorded is kept.
-    fn interrupt(&mut self) -> Result<()> {
-        #[cfg(unix)]
-        rustix::process::kill_process(
-            rustix::process::Pid::from_child(&self.child),
-            rustix::process::Signal::INT,
-        )?;
-        #[cfg(not(unix))]
-        self.child.kill()?;
+    /// Asks it to end, as Ctrl-C does; what was recorded is kept. One that does not end is killed by a later request.
+    fn end(&mut self) -> Result<()> {
+        self.stdin = None;
+        if self.asked.get_or_insert_with(Instant::now).elapsed() > ENDING {
+            self.child.kill()?;
+        }
         Ok(())
-    }
-}
-
-impl Drop for RecordingProcess {
-    fn drop(&mut self) {
-        let _ = self.interrupt();
-        let _ = self.child.wait();
     }
 }
 
@@ -241,9 +246,19 @@ impl LiveGripper {
     /// A recording or an upload is under way, or the process cannot be started.
     pub fn record(&self, request: &RecordRequest) -> Result<()> {
         let mut recording = self.recording.lock().unwrap_or_else(PoisonError::into_inner);
-        if recording.as_mut().is_some_and(|recording| recording.status().0) {
+        if recording.as_mut().is_some_and(RecordingProcess::goes_on) {
             bail!("a recording is under way");
         }
+        let seconds = request.seconds.filter(|seconds| SECONDS.contains(seconds));
+        let end = match (&request.plan, seconds) {
+            (Some(plan), _) => format!("--plan={}", plan.display()),
+            (None, Some(seconds)) => format!("--seconds={seconds}"),
+            (None, None) => bail!(
+                "a recording takes {} to {} seconds, or has a plan",
+                SECONDS.start(),
+                SECONDS.end()
+            ),
+        };
         let uses_connection = self.port.is_given();
         let mut arguments = if uses_connection {
             drop(self.release()?);
@@ -251,11 +266,7 @@ impl LiveGripper {
         } else {
             vec!["--virtual".to_owned()]
         };
-        arguments.extend(["-o".to_owned(), request.output.display().to_string()]);
-        arguments.extend(match &request.plan {
-            Some(plan) => ["--plan".to_owned(), plan.display().to_string()],
-            None => ["--seconds".to_owned(), request.seconds.to_string()],
-        });
+        arguments.extend([format!("--output={}", request.output.display()), end]);
         // A virtual board records its own loads.
         if let Some(reference) = self.reference.as_ref().filter(|_| uses_connection) {
             arguments.extend(reference.arguments());
@@ -294,10 +305,11 @@ impl LiveGripper {
     /// Asks the recording to end, as Ctrl-C does.
     ///
     /// # Errors
-    /// There is none.
+    /// None is under way.
     pub fn end_recording(&self) -> Result<()> {
         let mut recording = self.recording.lock().unwrap_or_else(PoisonError::into_inner);
-        recording.as_mut().context("there is no recording")?.interrupt()
+        let recording = recording.as_mut().context("there is no recording")?;
+        if recording.goes_on() { recording.end() } else { bail!("the recording has ended") }
     }
 
     /// Uploads a calibration; the gripper is not watched meanwhile.

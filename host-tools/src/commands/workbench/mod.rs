@@ -5,14 +5,15 @@ mod live;
 use std::collections::BTreeSet;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 use analysis::diagnose::Diagnosis;
 use analysis::edit_model::parse_formulas;
 use analysis::workbench::{Interval, Workbench, WorkbenchModel};
 use anyhow::{Context, Result, anyhow, bail};
-use axum::extract::{DefaultBodyLimit, Query, Request, State};
-use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
+use axum::extract::{Query, Request, State};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
 use axum::middleware::{self, Next};
 use axum::response::{Html, IntoResponse, Response};
 use axum::routing::{get, post};
@@ -25,6 +26,7 @@ use model_export::model_file::{BaseKind, ModelFile};
 use model_export::output::{check_output, write_output};
 use model_export::recordings::align::Alignment;
 use model_export::recordings::campaign::recording_folders;
+use model_export::stop::{self, Stop};
 use report::html::{diagnosis, workbench as pages};
 use report::text::{findings, terminal};
 use serde::Deserialize;
@@ -35,6 +37,7 @@ use crate::commands::check_compensated;
 use crate::commands::connection::{PortArgs, ReferenceArgs, default_virtual_board};
 use crate::commands::diagnose::write_plan_file;
 use crate::commands::workbench::live::{LiveGripper, RecordRequest};
+use device::http::{read_body, refuse, serve, single};
 use device::reference::ReferenceSource;
 
 /// Open a page in a browser of this machine: add effects and formulas to a model of a campaign, and every number and plot follows.
@@ -69,11 +72,17 @@ pub struct Args {
     fit: FitArgs,
 }
 
-/// Maximum length of a request in bytes: some formulas.
-const MAX_REQUEST_BYTES: usize = 64 << 10;
-/// What the page may load: only itself.
-const CONTENT_POLICY: &str = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; \
-                              connect-src 'self'; form-action 'none'; base-uri 'none'; frame-ancestors 'none'";
+/// What an answer may load: nothing.
+const CONTENT_POLICY: &str =
+    "default-src 'none'; form-action 'none'; base-uri 'none'; frame-ancestors 'none'";
+/// What the page may load too, next to the scripts with its number: styles within elements, drawings, answers.
+const PAGE_POLICY: &str = "style-src 'unsafe-inline'; img-src data:; connect-src 'self'";
+/// Time for which a computation waits for another one.
+const PATIENCE: Duration = Duration::from_secs(2);
+const BUSY: Conflict = Conflict(
+    "another model is being fitted or diagnosed: wait until it is done, or cancel it with \"Cancel\"",
+);
+const CANCELLED: Conflict = Conflict("cancelled");
 
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
@@ -90,9 +99,7 @@ pub fn run(args: &Args) -> Result<()> {
     }
     let start = |source| LiveGripper::new(source, args.gripper.clone(), reference);
     let live = source.map(start).transpose()?;
-    let mut token = [0; 16];
-    getrandom::fill(&mut token).context("the system has no random numbers")?;
-    let token: String = token.iter().map(|byte| format!("{byte:02x}")).collect();
+    let token = random()?;
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(1)
         .enable_io()
@@ -115,6 +122,7 @@ pub fn run(args: &Args) -> Result<()> {
         }
         let server = Server {
             bench: Arc::default(),
+            computing: Arc::default(),
             diagnosis: Arc::default(),
             live: live.map(Arc::new),
             campaign: Arc::new(args.campaign.clone()),
@@ -123,15 +131,23 @@ pub fn run(args: &Args) -> Result<()> {
             token: token.into(),
             host: address.to_string().into(),
         };
-        axum::serve(listener, router(server)).await.context("the server ended")
+        match serve(listener, router(server)).await {}
     })
+}
+
+/// A random number that nobody guesses, in hexadecimal digits.
+fn random() -> Result<String> {
+    let mut bytes = [0; 16];
+    getrandom::fill(&mut bytes).context("the system has no random numbers")?;
+    Ok(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
 }
 
 /// State of the server.
 #[derive(Clone)]
 struct Server {
     /// The models; opened by the first request, since the page appears before the base is fitted.
-    bench: Arc<Mutex<Option<Workbench>>>,
+    bench: Arc<Mutex<Option<Arc<Workbench>>>>,
+    computing: Arc<Computation>,
     /// The last diagnosis, and the model of which it is.
     diagnosis: Arc<Mutex<Option<(Choice, Diagnosis)>>>,
     live: Option<Arc<LiveGripper>>,
@@ -153,8 +169,9 @@ fn router(server: Server) -> Router {
         .route("/record", post(record))
         .route("/end-recording", post(end_recording))
         .route("/reload", post(reload))
+        .route("/cancel", post(cancel))
         .route("/write", post(write))
-        .layer(DefaultBodyLimit::max(MAX_REQUEST_BYTES))
+        .layer(middleware::from_fn(read_body))
         .layer(middleware::from_fn_with_state(server.clone(), authorise))
         .with_state(server)
 }
@@ -173,27 +190,32 @@ async fn authorise(
     request: Request,
     next: Next,
 ) -> Response {
-    let of_header =
-        |name: &str| headers.get(name).and_then(|value| value.to_str().ok()).unwrap_or("");
+    let of_header = |name| single(&headers, &name).unwrap_or_default();
     let is_page = request.uri().path() == "/";
-    let given = if is_page { token.as_str() } else { of_header("x-token") };
+    let given = if is_page { &token } else { of_header(HeaderName::from_static("x-token")) };
     // Browsers leave out the port of HTTP.
-    let host = of_header("host");
+    let host = of_header(header::HOST);
     let is_own = host == &*server.host || server.host.strip_suffix(":80") == Some(host);
     if !is_own || given != &*server.token {
-        return (StatusCode::FORBIDDEN, "Use the address that the command printed.\n")
-            .into_response();
+        return refuse(StatusCode::FORBIDDEN, "Use the address that the command printed.\n");
     }
     let mut response = next.run(request).await;
     let headers = response.headers_mut();
-    headers.insert(header::CONTENT_SECURITY_POLICY, HeaderValue::from_static(CONTENT_POLICY));
+    let policy = headers.entry(header::CONTENT_SECURITY_POLICY);
+    policy.or_insert(HeaderValue::from_static(CONTENT_POLICY));
+    headers.insert(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
     headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
     headers.insert(header::REFERRER_POLICY, HeaderValue::from_static("no-referrer"));
     response
 }
 
-async fn page(State(server): State<Server>) -> Html<String> {
-    Html(pages::page(&server.campaign.display().to_string(), server.live.is_some()))
+async fn page(State(server): State<Server>) -> Response {
+    let Ok(nonce) = random() else {
+        return refuse(StatusCode::INTERNAL_SERVER_ERROR, "The system has no random numbers.\n");
+    };
+    let policy = format!("{CONTENT_POLICY}; script-src 'nonce-{nonce}'; {PAGE_POLICY}");
+    let page = pages::page(&server.campaign.display().to_string(), server.live.is_some(), &nonce);
+    ([(header::CONTENT_SECURITY_POLICY, policy)], Html(page)).into_response()
 }
 
 async fn live_state(State(server): State<Server>) -> Response {
@@ -223,11 +245,116 @@ async fn with_gripper(
 /// Forgets all models: recordings were added to the campaign, or removed.
 async fn reload(State(server): State<Server>) -> Response {
     respond(move || {
-        *server.diagnosis.lock().unwrap_or_else(PoisonError::into_inner) = None;
-        *server.bench.lock().unwrap_or_else(PoisonError::into_inner) = None;
+        server.computing.cancel();
+        *lock(&server.diagnosis) = None;
+        *lock(&server.bench) = None;
         Ok(json!({}))
     })
     .await
+}
+
+/// Ends the computation that is under way; its request is answered with an error.
+async fn cancel(State(server): State<Server>) -> Response {
+    respond(move || Ok(json!({ "cancelled": server.computing.cancel() }))).await
+}
+
+/// Locks what no panic leaves half done.
+fn lock<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
+    shared.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Why a computation has no result.
+#[derive(Debug)]
+struct Conflict(&'static str);
+
+impl std::fmt::Display for Conflict {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.0)
+    }
+}
+
+impl std::error::Error for Conflict {}
+
+/// The computation that is under way: one at a time, since each uses all processors.
+#[derive(Default)]
+struct Computation {
+    present: Mutex<Option<Stop>>,
+    ended: Condvar,
+}
+
+impl Computation {
+    /// Does some work alone, until `stop` or [`Computation::cancel`].
+    fn run<T: Send>(&self, stop: &Stop, work: impl FnOnce() -> Result<T> + Send) -> Result<T> {
+        let waited = self.ended.wait_timeout_while(lock(&self.present), PATIENCE, |present| {
+            present.is_some() && !stop.is_requested()
+        });
+        let (mut present, _) = waited.unwrap_or_else(PoisonError::into_inner);
+        if present.is_some() {
+            return Err(BUSY.into());
+        }
+        *present = Some(stop.clone());
+        drop(present);
+        // Also after a panic.
+        let _turn = Turn(self);
+        stop.run(work)?.unwrap_or_else(|| Err(CANCELLED.into()))
+    }
+
+    /// Requests the end of the work; false if there is none.
+    fn cancel(&self) -> bool {
+        lock(&self.present).as_ref().inspect(|stop| stop.request()).is_some()
+    }
+}
+
+struct Turn<'c>(&'c Computation);
+
+impl Drop for Turn<'_> {
+    fn drop(&mut self) {
+        *lock(&self.0.present) = None;
+        self.0.ended.notify_one();
+    }
+}
+
+/// A request that may have to compute.
+struct Job {
+    server: Server,
+    stop: Stop,
+}
+
+impl Job {
+    /// The models, opened where that was not done before.
+    fn bench(&self) -> Result<Arc<Workbench>> {
+        let known = || lock(&self.server.bench).clone();
+        let open = || match known() {
+            Some(bench) => Ok(bench),
+            None => {
+                let bench = Arc::new(open(&self.server)?);
+                stop::check();
+                Ok(lock(&self.server.bench).insert(bench).clone())
+            }
+        };
+        known().map_or_else(|| self.server.computing.run(&self.stop, open), Ok)
+    }
+
+    /// A model, fitted where that was not done before.
+    fn fit(
+        &self,
+        bench: &Workbench,
+        terms: &[EffectTerm],
+        compared: &[EffectTerm],
+    ) -> Result<Arc<WorkbenchModel>> {
+        let fit = || bench.fit_model(terms, compared);
+        let known = bench.fitted(terms, compared);
+        known.map_or_else(|| self.server.computing.run(&self.stop, fit), Ok)
+    }
+}
+
+/// Ends a computation whose client is gone.
+struct StopOnDrop(Stop);
+
+impl Drop for StopOnDrop {
+    fn drop(&mut self) {
+        self.0.request();
+    }
 }
 
 /// Effects of the catalogue and formulas of a model. Ranges of a formula follow it after semicolons.
@@ -245,21 +372,17 @@ struct ModelRequest {
 }
 
 impl ModelRequest {
-    /// Fits the model and the baseline, and returns them after the models that were fitted.
-    fn fit<'a>(
+    /// Fits the model and the baseline.
+    fn fit(
         &self,
-        bench: &'a mut Workbench,
-    ) -> Result<(&'a Workbench, &'a WorkbenchModel, Option<&'a WorkbenchModel>)> {
+        job: &Job,
+        bench: &Workbench,
+    ) -> Result<(Arc<WorkbenchModel>, Option<Arc<WorkbenchModel>>)> {
         let terms = self.choice.terms(bench)?;
         let baseline = self.baseline.as_ref().map(|choice| choice.terms(bench)).transpose()?;
-        let of_baseline = baseline.as_deref().unwrap_or_default();
-        bench.fit_model(&terms, of_baseline)?;
-        if baseline.is_some() {
-            bench.fit_model(of_baseline, &terms)?;
-        }
-        let bench = &*bench;
-        let model = bench.fitted(&terms, of_baseline).context("the model was not fitted")?;
-        Ok((bench, model, baseline.as_ref().and_then(|other| bench.fitted(other, &terms))))
+        let model = job.fit(bench, &terms, baseline.as_deref().unwrap_or_default())?;
+        let baseline = baseline.map(|other| job.fit(bench, &other, &terms)).transpose()?;
+        Ok((model, baseline))
     }
 }
 
@@ -285,16 +408,16 @@ enum Kind {
 async fn model(State(server): State<Server>, Json(request): Json<ModelRequest>) -> Response {
     let (campaign, alignment, seed) =
         (server.campaign.clone(), server.alignment, server.options.seed);
-    answer(server, move |bench| {
-        let (bench, shown, baseline) = request.fit(bench)?;
+    answer(server, move |job, bench| {
+        let (shown, baseline) = request.fit(job, bench)?;
         let commands = request.choice.commands(&campaign, bench.base(), alignment, seed);
-        Ok(pages::state(bench, shown, baseline, &commands))
+        Ok(pages::state(bench, &shown, baseline.as_deref(), &commands))
     })
     .await
 }
 
 async fn names(State(server): State<Server>) -> Response {
-    answer(server, |bench| Ok(pages::formula_names(bench))).await
+    answer(server, |_, bench| Ok(pages::formula_names(bench))).await
 }
 
 #[derive(Deserialize)]
@@ -307,12 +430,12 @@ struct DiagnosisRequest {
 
 async fn diagnose(State(server): State<Server>, Json(request): Json<DiagnosisRequest>) -> Response {
     let last = server.diagnosis.clone();
-    answer(server, move |bench| {
-        let terms = request.choice.terms(bench)?;
-        bench.fit_model(&terms, &[])?;
-        let diagnosis = bench.diagnose(&terms, request.plans)?;
+    answer(server, move |job, bench| {
+        let model = job.fit(bench, &request.choice.terms(bench)?, &[])?;
+        let diagnose = || bench.diagnose(&model, request.plans);
+        let diagnosis = job.server.computing.run(&job.stop, diagnose)?;
         let answer = pages::diagnosis(&diagnosis);
-        *last.lock().unwrap_or_else(PoisonError::into_inner) = Some((request.choice, diagnosis));
+        *lock(&last) = Some((request.choice, diagnosis));
         Ok(answer)
     })
     .await
@@ -327,20 +450,19 @@ struct ScatterRequest {
 }
 
 async fn scatter(State(server): State<Server>, Json(request): Json<ScatterRequest>) -> Response {
-    answer(server, move |bench| {
-        let terms = request.choice.terms(bench)?;
-        bench.fit_model(&terms, &[])?;
-        let found = bench.scatter(&terms, &request.covariate, &request.interval)?;
+    answer(server, move |job, bench| {
+        let model = job.fit(bench, &request.choice.terms(bench)?, &[])?;
+        let found = bench.scatter(&model, &request.covariate, &request.interval)?;
         Ok(json!({ "plot": pages::scatter(&found) }))
     })
     .await
 }
 
 async fn write(State(server): State<Server>, Json(request): Json<WriteRequest>) -> Response {
-    let last = server.diagnosis.lock().unwrap_or_else(PoisonError::into_inner).clone();
+    let last = lock(&server.diagnosis).clone();
     let (campaign, live) = (server.campaign.clone(), server.live.clone());
-    answer(server, move |bench| {
-        let (_, shown, baseline) = request.model.fit(bench)?;
+    answer(server, move |job, bench| {
+        let (shown, baseline) = request.model.fit(job, bench)?;
         let path = &request.path;
         let message = match request.kind {
             Kind::Model => {
@@ -351,7 +473,11 @@ async fn write(State(server): State<Server>, Json(request): Json<WriteRequest>) 
                 let own = last.filter(|(choice, _)| *choice == request.model.choice);
                 let sections =
                     own.map_or_else(Vec::new, |(_, of_model)| diagnosis::sections(&of_model));
-                report::html::write(path, &pages::with_baseline(shown, baseline), &sections)?;
+                report::html::write(
+                    path,
+                    &pages::with_baseline(&shown, baseline.as_deref()),
+                    &sections,
+                )?;
                 let without = if sections.is_empty() {
                     " Without a diagnosis: \"Diagnose\" makes the one of this model."
                 } else {
@@ -487,20 +613,14 @@ fn open(server: &Server) -> Result<Workbench> {
     })
 }
 
-/// Answers from the models; one request at a time.
+/// Answers from the models.
 async fn answer(
     server: Server,
-    work: impl FnOnce(&mut Workbench) -> Result<Value> + Send + 'static,
+    work: impl FnOnce(&Job, &Workbench) -> Result<Value> + Send + 'static,
 ) -> Response {
-    respond(move || {
-        let mut bench = server.bench.lock().unwrap_or_else(PoisonError::into_inner);
-        let bench = match &mut *bench {
-            Some(bench) => bench,
-            empty => empty.insert(open(&server)?),
-        };
-        work(bench)
-    })
-    .await
+    let job = Job { server, stop: Stop::default() };
+    let _stop = StopOnDrop(job.stop.clone());
+    respond(move || work(&job, &*job.bench()?)).await
 }
 
 /// Runs a request on a thread that may block.
@@ -508,6 +628,7 @@ async fn respond(work: impl FnOnce() -> Result<Value> + Send + 'static) -> Respo
     let failed = |status, error: String| (status, Json(json!({ "error": error }))).into_response();
     match tokio::task::spawn_blocking(work).await {
         Ok(Ok(value)) => Json(value).into_response(),
+        Ok(Err(error)) if error.is::<Conflict>() => failed(StatusCode::CONFLICT, error.to_string()),
         Ok(Err(error)) => failed(StatusCode::UNPROCESSABLE_ENTITY, format!("{error:#}")),
         Err(_) => failed(
             StatusCode::INTERNAL_SERVER_ERROR,

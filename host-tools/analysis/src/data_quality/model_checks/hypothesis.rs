@@ -5,6 +5,7 @@ use crate::data_quality::model_checks::{Case, mean_square};
 use model_export::effects::ExcitationSeries;
 use model_export::recordings::columns::Axis;
 use model_export::recordings::{Campaign, Recording};
+use model_export::stop;
 use nalgebra::Vector3;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -384,6 +385,7 @@ pub fn column_errors(campaign: &Campaign, cases: &[Case]) -> Vec<Vec<Verdict>> {
 }
 
 fn verdict(campaign: &Campaign, case: &Case) -> Option<Verdict> {
+    stop::check();
     if case.as_recorded < ABOVE_FLOOR * case.floor {
         return None;
     }

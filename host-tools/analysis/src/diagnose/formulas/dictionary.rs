@@ -6,6 +6,7 @@ use std::sync::Arc;
 use model_export::effects::ExcitationSeries;
 use model_export::effects::excitation::BUILT_IN_COVARIATES;
 use model_export::fit::campaign::FitSetup;
+use model_export::stop;
 use nalgebra::DMatrix;
 use rayon::prelude::*;
 
@@ -74,6 +75,7 @@ impl Dictionary {
         let columns: Vec<Option<Vec<Arc<Vec<f64>>>>> = atoms
             .par_iter()
             .map(|atom| {
+                stop::check();
                 let first = Arc::new(evaluate(atom, 0)?);
                 let of_sensor = |sensor: usize| {
                     if sensor == 0 || is_shared(sensor, &atom.covariate) {
@@ -106,6 +108,7 @@ impl Dictionary {
         let rows: Vec<Vec<Arc<Vec<f64>>>> = terms
             .par_iter()
             .map(|term| {
+                stop::check();
                 let of_sensor = |sensor: usize| {
                     let mut product = vec![1.0; lengths[sensor].iter().sum()];
                     for factor in term {

@@ -32,6 +32,7 @@ use model_export::fit::score_test::{CandidateScore, ScoreTest};
 use model_export::model_file::EffectModel;
 use model_export::recordings::Campaign;
 use model_export::recordings::columns::STATOR_CURRENTS;
+use model_export::stop;
 use rayon::prelude::*;
 
 use crate::diagnose::candidates::varying_covariates;
@@ -537,6 +538,7 @@ impl<'a> FormulaSearch<'a> {
             .into_par_iter()
             .filter(|ranked| !is_linear || ranked.candidate.nonlinear().is_empty())
             .map(|RankedCandidate { candidate, terms }| {
+                stop::check();
                 let of_sensor = |(sensor, rows): (usize, &SensorRows)| {
                     let values = self.dictionary.values_of(sensor, &terms);
                     columns_at(rows, &values, &candidate.points, &self.points)

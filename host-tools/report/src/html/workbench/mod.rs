@@ -21,8 +21,8 @@ use crate::text::diagnosis::{
 };
 use crate::text::notes;
 
-/// The page, without a model; its script asks for one. With `live` it shows a gripper.
-pub fn page(campaign: &str, live: bool) -> String {
+/// The page, without a model; its script asks for one. With `live` it shows a gripper. Its scripts are those with the `nonce`.
+pub fn page(campaign: &str, live: bool, nonce: &str) -> String {
     let page = html! {
         (DOCTYPE)
         html lang="en" {
@@ -33,6 +33,7 @@ pub fn page(campaign: &str, live: bool) -> String {
                     div #bar role="img" aria-label="Force error" {}
                     p.note #legend { span.key.error {} " force error " span.key.predicted {} " predicted with the effect under the pointer " span #predicted {} span.key.noise {} " noise alone" }
                     p #headline role="status" { "Fitting the base model." }
+                    button #cancel type="button" { "Cancel" }
                     pre #error role="alert" {}
                     p.note #verdict {}
                     ul.note #notes {}
@@ -116,7 +117,7 @@ pub fn page(campaign: &str, live: bool) -> String {
                     details { summary { "The same on the command line" } pre #commands {} }
                 }
                 script type="text/plain" id="view-script" { (PreEscaped(include_str!("../page.js"))) }
-                script { (PreEscaped(include_str!("page.js"))) }
+                script nonce=(nonce) { (PreEscaped(include_str!("page.js"))) }
             }
         }
     };

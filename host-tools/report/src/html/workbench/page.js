@@ -1,6 +1,7 @@
 "use strict";
 {
   const at = (id) => document.getElementById(id);
+  const nonce = document.currentScript.nonce;
   const token = new URLSearchParams(location.search).get("token") ?? "";
   // A model is its effects and formulas. The history holds those that were shown, for undo and redo; `shown` is the server's answer
   // to the one at `place`. Both change only after an answer, one request for a model at a time.
@@ -117,7 +118,7 @@
     const view = at("view");
     view.innerHTML = shown.view;
     // Scripts in replaced content do not run by themselves.
-    view.append(element("script", { textContent: at("view-script").textContent }));
+    view.append(element("script", { nonce, textContent: at("view-script").textContent }));
   }
 
   /** Models to compare with. */
@@ -140,6 +141,7 @@
   async function show(model, accept) {
     if (isBusy) return false;
     isBusy = true;
+    at("cancel").hidden = false;
     at("view").setAttribute("aria-busy", "true");
     at("choices").inert = true;
     try {
@@ -155,6 +157,7 @@
       return false;
     } finally {
       isBusy = false;
+      at("cancel").hidden = true;
       at("choices").inert = false;
       at("view").setAttribute("aria-busy", "false");
     }
@@ -176,6 +179,7 @@
   async function diagnose(plans) {
     const model = current(), result = at("diagnosis-result");
     for (const id of ["diagnose", "plan"]) at(id).disabled = true;
+    at("cancel").hidden = false;
     result.replaceChildren(element("p", { className: "note", textContent: plans ? "Diagnosing and planning: up to a minute." : "Diagnosing: some seconds." }));
     try {
       const found = await ask("diagnose", { ...model, plans });
@@ -198,6 +202,7 @@
       result.replaceChildren(element("p", { className: "note", textContent: error.message }));
     } finally {
       for (const id of ["diagnose", "plan"]) at(id).disabled = false;
+      at("cancel").hidden = !isBusy;
     }
   }
   at("diagnose").addEventListener("click", () => diagnose(false));
@@ -225,6 +230,7 @@
   document.addEventListener("interval", (event) => ((interval = event.detail), follow()));
   for (const id of ["covariate", "scatter-axis"]) at(id).addEventListener("change", follow);
 
+  at("cancel").addEventListener("click", () => ask("cancel", {}).catch((error) => (at("error").textContent = error.message)));
   at("undo").addEventListener("click", () => step(-1));
   at("redo").addEventListener("click", () => step(1));
   document.addEventListener("keydown", (event) => {
