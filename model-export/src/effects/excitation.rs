@@ -54,7 +54,9 @@ impl ExcitationSeries {
                 |series| select_rows(&series.newtons, usable),
             )
         });
-        let smoothed = columns.each_ref().map(|values| operators::smooth(&time_s, values));
+        let half_window = operators::half_window(&time_s, columns.iter().map(Vec::as_slice));
+        let smoothed =
+            columns.each_ref().map(|values| operators::smooth_within(half_window, &time_s, values));
         let pair = |of: &dyn Fn(usize, usize) -> f64| {
             (0..usable.len()).map(|i| [of(0, i), of(1, i)]).collect()
         };
@@ -64,7 +66,7 @@ impl ExcitationSeries {
             start_s: recording.description.start_s,
             before_s: position.1,
             cycles: Vec::new(),
-            smoothing_impulse: SmoothingImpulse::new(&time_s),
+            smoothing_impulse: SmoothingImpulse::within(half_window, &time_s),
             force_n: pair(&|axis, i| columns[axis][i]),
             smooth_n: pair(&|axis, i| smoothed[axis].0[i]),
             rate_n_per_s: pair(&|axis, i| smoothed[axis].1[i]),
@@ -82,7 +84,7 @@ impl ExcitationSeries {
     pub fn with_forces(&self, force_n: Vec<[f64; 2]>) -> Self {
         let [x, z] = [0, 1].map(|axis| {
             let column: Vec<f64> = force_n.iter().map(|force| force[axis]).collect();
-            operators::smooth(&self.time_s, &column)
+            operators::smooth_within(self.smoothing_impulse.half_window(), &self.time_s, &column)
         });
         let pair = |x: &[f64], z: &[f64]| x.iter().zip(z).map(|(x, z)| [*x, *z]).collect();
         Self { smooth_n: pair(&x.0, &z.0), rate_n_per_s: pair(&x.1, &z.1), force_n, ..self.clone() }

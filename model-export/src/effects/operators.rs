@@ -7,16 +7,51 @@ use crate::effects::ExcitationSeries;
 
 /// Half width of the smoothing window in rows.
 const HALF_WINDOW: usize = 4;
+/// Narrower windows, down to the least of which the regression still averages.
+const NARROWER: [usize; 2] = [3, 2];
+/// Maximum ratio of the noise that two windows leave: more of the wider one is motion of the load.
+const SAME_NOISE: f64 = 1.2;
+/// Minimum number of rows to compare windows.
+const MIN_ROWS: usize = 200;
 
 /// Smoothed values and their rates: local cubic regression (Savitzky and Golay 1964, for non-uniform times).
 pub fn smooth(time_s: &[f64], values: &[f64]) -> (Vec<f64>, Vec<f64>) {
+    smooth_within(HALF_WINDOW, time_s, values)
+}
+
+/// The same with a window of this half width.
+pub fn smooth_within(half_window: usize, time_s: &[f64], values: &[f64]) -> (Vec<f64>, Vec<f64>) {
     let n = values.len();
     (0..n)
         .map(|i| {
-            let range = i.saturating_sub(HALF_WINDOW)..(i + HALF_WINDOW + 1).min(n);
+            let range = i.saturating_sub(half_window)..(i + half_window + 1).min(n);
             local_regression(time_s[i], &time_s[range.clone()], &values[range])
         })
         .unzip()
+}
+
+/// Half width of the widest window that leaves no more than the noise of these columns, as the narrowest one shows it: a wider one
+/// takes a part of a fast load's motion, and with it of its rates.
+pub fn half_window<'v>(time_s: &[f64], columns: impl Iterator<Item = &'v [f64]> + Clone) -> usize {
+    if time_s.len() < MIN_ROWS {
+        return HALF_WINDOW;
+    }
+    let noise = |half_window: usize| -> Vec<f64> {
+        let weight = SmoothingImpulse::within(half_window, time_s).own_weight();
+        let variance = |values: &[f64]| {
+            let (smooth, _) = smooth_within(half_window, time_s, values);
+            let squares: f64 =
+                smooth.iter().zip(values).map(|(s, value)| (value - s).powi(2)).sum();
+            squares / (1.0 - weight)
+        };
+        columns.clone().map(variance).collect()
+    };
+    let least = noise(NARROWER[NARROWER.len() - 1]);
+    let is_noise = |half_window: &usize| {
+        noise(*half_window).iter().zip(&least).all(|(own, least)| *own <= SAME_NOISE * least)
+    };
+    let wider = std::iter::once(HALF_WINDOW).chain(NARROWER);
+    wider.take(NARROWER.len()).find(is_noise).unwrap_or(NARROWER[NARROWER.len() - 1])
 }
 
 /// Value and slope at `at` of the regression cubic, or of the regression line with too few points.
@@ -127,6 +162,7 @@ pub fn delayed(time_s: &[f64], values: &[f64], rates: &[f64], delay_s: f64) -> V
 /// Response of [`smooth`] to a unit impulse in one row: the smoothing's effect on the noise of a single row.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SmoothingImpulse {
+    half_window: usize,
     time_s: Vec<f64>,
     smooth: Vec<f64>,
     rate: Vec<f64>,
@@ -138,6 +174,11 @@ impl SmoothingImpulse {
 
     /// The response at the median period of `time_s`.
     pub fn new(time_s: &[f64]) -> Self {
+        Self::within(HALF_WINDOW, time_s)
+    }
+
+    /// The same with a window of this half width.
+    pub fn within(half_window: usize, time_s: &[f64]) -> Self {
         let mut steps: Vec<f64> = time_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
         steps.sort_by(f64::total_cmp);
         let Some(step) = steps.get(steps.len() / 2) else {
@@ -147,8 +188,18 @@ impl SmoothingImpulse {
         let time_s: Vec<f64> = rows.clone().map(|i| step * i as f64).collect();
         let impulse = |i: usize| f64::from(u8::from(i == Self::MARGIN));
         let values: Vec<f64> = rows.map(impulse).collect();
-        let (smooth, rate) = smooth(&time_s, &values);
-        Self { time_s, smooth, rate }
+        let (smooth, rate) = smooth_within(half_window, &time_s, &values);
+        Self { half_window, time_s, smooth, rate }
+    }
+
+    /// Half width of the window in rows; of no response that of [`smooth`].
+    pub fn half_window(&self) -> usize {
+        if self.smooth.is_empty() { HALF_WINDOW } else { self.half_window }
+    }
+
+    /// Weight of a row's own value in its smoothed one.
+    fn own_weight(&self) -> f64 {
+        self.smooth.get(Self::MARGIN).copied().unwrap_or(0.0)
     }
 
     /// Additional gain of a row's own noise by `operator` (of times, values, rates) relative to the smoothed

@@ -4,6 +4,7 @@
 use crate::diagnose::candidate_fit::{best_candidate, best_pair};
 use crate::diagnose::candidates::{MIN_GAIN, screen};
 use crate::diagnose::confusable_effects::{Collinearity, Similarity};
+use crate::diagnose::formulas::MIN_KEPT;
 use crate::diagnose::observer::Observer;
 use crate::diagnose::residuals::{attributed_covariates, block_s, residual_tables};
 use crate::diagnose::selection::{DISTINGUISHABLE, DropReason, FittedModel, SMALL, Selection};
@@ -269,6 +270,10 @@ fn resolve_equivalences(
     Ok(())
 }
 
+/// Difference of the squared errors up to which an effect with fewer coefficients is equivalent: one number for all flexures that
+/// explains what several explain is the likelier cause, although it is not exact where a load jumps.
+const SIMPLER: f64 = 0.02;
+
 /// Compares the effect of each step with those that explained a part of the same when it was accepted, in the last model: later
 /// steps and formulas explain what was still in the residual then. An effect that now explains as much is equivalent; with fewer
 /// coefficients it takes the place of the accepted one.
@@ -281,38 +286,45 @@ pub fn reconsider_shadows(
     options: FitOptions,
 ) -> Result<()> {
     let recordings = prepared.recordings();
+    let parameters = |effect: &EffectTerm| effect.parameters(recordings).len();
     for place in 0..selection.steps.len() {
         let (Some(last), step) = (selection.stages.last(), &selection.steps[place]) else {
             return Ok(());
         };
+        let is_simpler = |other: &EffectTerm| parameters(other) < parameters(&step.chosen);
+        let limit = |other: &EffectTerm| if is_simpler(other) { SIMPLER } else { DISTINGUISHABLE };
         let instead = |other: &EffectTerm| {
             let effects = replaced(&last.effects, &step.chosen, other);
             let model = FittedModel::without_validation(prepared, effects, options).ok()?;
             let is_close =
-                model.is_possible(recordings) && !last.is_better_fit(DISTINGUISHABLE, &model);
+                model.is_possible(recordings) && !last.is_better_fit(limit(other), &model);
             is_close.then(|| (other.clone(), model))
         };
-        let shadows = step.shadows.iter().filter(|other| !last.effects.contains(other));
-        let close: Vec<(EffectTerm, FittedModel)> =
-            shadows.collect::<Vec<_>>().into_par_iter().filter_map(instead).collect();
-        let mut equivalent: Vec<(usize, EffectTerm)> = Vec::new();
+        let shadows: Vec<&EffectTerm> =
+            step.shadows.iter().filter(|other| !last.effects.contains(other)).collect();
+        let close: Vec<_> = shadows.into_par_iter().filter_map(instead).collect();
+        let mut equivalent: Vec<EffectTerm> = Vec::new();
+        let mut simplest: Option<EffectTerm> = None;
         for (other, model) in close {
             let split = prepared.split(&[&last.effects[..], std::slice::from_ref(&other)].concat());
             let model = FittedModel::new(prepared, model.effects, split, options)?;
             let own = last.clone().with_split(prepared, split, options);
-            if !own.is_distinguishably_better(&model) && model.is_plausible(&other, recordings) {
-                equivalent.push((other.parameters(recordings).len(), other));
+            let is_worse = model.mean_square() > (1.0 + limit(&other)) * own.mean_square();
+            if is_worse || !model.is_plausible(&other, recordings) {
+                continue;
             }
+            let is_fewer = |than: &EffectTerm| parameters(&other) < parameters(than);
+            if !own.is_distinguishably_better(&model)
+                && is_fewer(simplest.as_ref().unwrap_or(&step.chosen))
+            {
+                simplest = Some(other.clone());
+            }
+            equivalent.push(other);
         }
-        equivalent.sort_by_key(|(parameters, _)| *parameters);
-        let simpler = equivalent
-            .first()
-            .filter(|(count, _)| *count < step.chosen.parameters(recordings).len())
-            .map(|(_, other)| other.clone());
         let step = &mut selection.steps[place];
-        step.shadows.retain(|shadow| equivalent.iter().all(|(_, other)| other != shadow));
-        step.tied.extend(equivalent.into_iter().map(|(_, other)| other));
-        let Some(other) = simpler else { continue };
+        step.shadows.retain(|shadow| !equivalent.contains(shadow));
+        step.tied.extend(equivalent);
+        let Some(other) = simplest else { continue };
         step.tied.retain(|tied| *tied != other);
         let chosen = std::mem::replace(&mut step.chosen, other.clone());
         step.tied.push(chosen.clone());
@@ -321,6 +333,45 @@ pub fn reconsider_shadows(
             let split = prepared.split(&effects);
             *stage = FittedModel::new(prepared, effects, split, options)?;
         }
+    }
+    Ok(())
+}
+
+/// Removes each step whose magnitude is not determined in the last model, fitted to all rows, unless it lowers the error there in
+/// every fold: what a later step explains may have been in the residual when it was accepted. Models after a removed step are fitted
+/// again.
+///
+/// # Errors
+/// A fit fails.
+pub fn eliminate_undetermined(
+    all: &FitSetup,
+    selection: &mut Selection,
+    formulas: usize,
+    options: FitOptions,
+) -> Result<()> {
+    let mut place = 0;
+    while place < selection.steps.len() && selection.steps.len() + formulas > 1 {
+        let (Some(last), chosen) = (selection.stages.last(), &selection.steps[place].chosen) else {
+            return Ok(());
+        };
+        let size = last.size_of(chosen, all.recordings());
+        if chosen.is_event() || size.is_none_or(|size| size.is_determined()) {
+            place += 1;
+            continue;
+        }
+        let others = last.effects.iter().filter(|effect| *effect != chosen).cloned();
+        let without = FittedModel::new(all, others.collect(), last.fit.split, options)?;
+        if last.gain(&without) > MIN_KEPT && last.improves_all_folds(&without) {
+            place += 1;
+            continue;
+        }
+        let removed = std::slice::from_ref(chosen);
+        selection.stages = selection.stages_without((place, removed), without, all, options)?;
+        let step = selection.steps.remove(place);
+        if let Some(next) = selection.steps.get_mut(place) {
+            next.is_of_pair = false;
+        }
+        selection.dropped.push(step.dropped(DropReason::Undetermined));
     }
     Ok(())
 }

@@ -28,7 +28,9 @@ use crate::diagnose::drifts::equivalent_drifts;
 pub use crate::diagnose::formulas::DiscoveredFormula;
 use crate::diagnose::formulas::simpler::{SimplerFormula, simpler_formulas};
 use crate::diagnose::formulas::{discover, equivalent_formulas};
-use crate::diagnose::forward_selection::{forward_selection, reconsider_shadows};
+use crate::diagnose::forward_selection::{
+    eliminate_undetermined, forward_selection, reconsider_shadows,
+};
 use crate::diagnose::observer::Observer;
 use crate::diagnose::recording_differences::Differences;
 use crate::diagnose::recording_plan::{RecordingProposal, propose};
@@ -528,13 +530,14 @@ pub fn diagnose(
     let (first, last) = (selection.stages.first().cloned(), selection.stages.last().cloned());
     let (mut formulas, from_first) =
         discover(campaign, &sample, &testable, &mut selection, options, observer)?;
-    if selection.stages.len() > 2 && !observer.is_stopped() {
+    if !observer.is_stopped() {
         reconsider_shadows(&sample, &mut selection, options)?;
     }
     observer.begin_rest();
     if sample.row_count() < prepared.row_count() {
         observer.stage("fitting all rows", ALL_ROWS);
         selection.refit(&prepared, options)?;
+        eliminate_undetermined(&prepared, &mut selection, formulas.len(), options)?;
     }
     selection.confirm(&mut formulas);
     let mut forces = Vec::new();

@@ -91,6 +91,8 @@ pub enum DropReason {
     Replaced,
     /// It lowers the error of all rows by too little, or not in every fold.
     NotOnAllRows,
+    /// Its magnitude is smaller than two of its standard errors next to the others.
+    Undetermined,
     /// The error of the field is at the floor without it, and that of the forces hardly rises.
     IrrelevantForces,
 }
@@ -458,7 +460,9 @@ impl FittedModel {
                 true => self.has_searched_shapes(effect, recordings),
                 false => size.is_determined(),
             };
-            size.is_plausible() && is_determined && !tiny
+            let is_vague =
+                size.std_error > MAX_RELATIVE_ERROR * size.size.typical.abs().max(size.value.abs());
+            size.is_plausible() && is_determined && !tiny && !is_vague
         })
     }
 

@@ -192,6 +192,9 @@ pub fn dropped_steps(diagnosis: &Diagnosis) -> String {
         let why = match step.reason {
             DropReason::Needless => "next to the other steps the error does not rise without it",
             DropReason::Replaced => "formulas leave less, or as much with fewer terms",
+            DropReason::Undetermined => {
+                "next to the others its magnitude is smaller than two of its standard errors"
+            }
             DropReason::NotOnAllRows => {
                 "it lowers the error of all rows by too little, or not in every fold"
             }
