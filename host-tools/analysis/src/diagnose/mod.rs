@@ -23,6 +23,7 @@ use crate::compare::cv_plan::ModelRefit;
 use crate::compare::force_errors::held_out_forces;
 use crate::compare::{EffectOrigin, ForceError};
 use crate::data_quality::Finding;
+use crate::data_quality::evidence::Evidence;
 use crate::diagnose::candidates::candidates;
 use crate::diagnose::drifts::equivalent_drifts;
 pub use crate::diagnose::formulas::DiscoveredFormula;
@@ -48,6 +49,7 @@ use model_export::fit::FitOptions;
 use model_export::fit::campaign::{FitSetup, SEARCH_ROWS};
 use model_export::fit::joint::JointFit;
 use model_export::fit::polynomial::{HigherDegree, PolynomialFit};
+use model_export::fit::recording_differences::DifferenceCause;
 use model_export::inverse::compensation::{DeviceSupport, device_support};
 use model_export::model_file::{EffectModel, ModelFile, Provenance};
 use model_export::recordings::Campaign;
@@ -628,6 +630,17 @@ pub fn diagnose(
     // The fit is that of a comparison where it is of the recordings as they are.
     let is_as_recorded = differences.is_none();
     diagnosis.findings = differences.map_or_else(Vec::new, |found| found.findings);
+    // The effects were sought on the recordings with the differences of a place: those that explain more are the likelier cause.
+    let floors =
+        diagnosis.staircase.last().map_or(f64::NAN, |last| last.held_out_rms_g / last.floor_g);
+    diagnosis.findings.retain(|finding| match &finding.evidence {
+        Evidence::RecordingDifference {
+            cause: DifferenceCause::MagnetPlace,
+            floors: [_, with],
+            ..
+        } => !(floors < *with),
+        _ => true,
+    });
     diagnosis.model = path.display().to_string();
     diagnosis.campaign = campaign.folder.display().to_string();
     diagnosis.seed = options.seed;

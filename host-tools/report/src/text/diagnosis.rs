@@ -2,6 +2,7 @@
 
 use analysis::compare::{AT_FLOOR, BELOW_FLOOR, ForceError};
 use analysis::diagnose::candidates::{LEVEL, MIN_GAIN, RESAMPLES};
+use analysis::diagnose::recording_differences;
 use analysis::diagnose::remaining_structure::RemainingStructure;
 use analysis::diagnose::{
     ConfoundedOffsets, Diagnosis, DiscoveredFormula, DropReason, DroppedStep, Reason,
@@ -783,8 +784,15 @@ fn verdict_on_effects(diagnosis: &Diagnosis) -> String {
             )
         }
         (_, Some(first)) if floors > AT_FLOOR => format!(
-            "Structure remains: {}, and no effect explains it ({rms}, {floors:.1} times the floor). {}",
+            "Structure remains: {}, {} ({rms}, {floors:.1} times the floor). {}",
             residual_follows(first),
+            if first.covariate == "recording"
+                && diagnosis.findings.iter().any(|finding| finding.id == recording_differences::ID)
+            {
+                "as the finding on the recordings says"
+            } else {
+                "and no effect explains it"
+            },
             if steps.is_empty() {
                 "Test a formula of your own over it with --expr.".to_owned()
             } else {
