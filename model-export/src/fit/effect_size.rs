@@ -24,6 +24,9 @@ pub struct EffectSize {
     pub value: f64,
     /// Standard error.
     pub std_error: f64,
+    /// The part of it that shows whether the effect is there: without what its prior takes from every sensor, and without the scatter
+    /// over shapes.
+    pub data_error: f64,
     /// Unit of the magnitude.
     pub unit: Cow<'static, str>,
     /// Name of the coefficient where there are several.
@@ -40,20 +43,20 @@ pub struct EffectSize {
 impl EffectSize {
     /// Whether it is within the plausible range.
     pub fn is_plausible(&self) -> bool {
-        within((self.value, self.std_error), self.size.plausible)
+        within((self.value, self.data_error), self.size.plausible)
     }
 
     /// Whether the magnitude is larger than two of its standard errors, or the coefficients together are significant. Without an error
     /// it is.
     pub fn is_determined(&self) -> bool {
         self.std_error.is_nan()
-            || self.value.abs() >= 2.0 * self.std_error
+            || self.value.abs() >= 2.0 * self.data_error
             || self.significance >= SIGNIFICANT
     }
 
     /// Whether it is within the physically possible range.
     pub fn is_possible(&self) -> bool {
-        within((self.value, self.std_error), self.size.possible)
+        within((self.value, self.data_error), self.size.possible)
     }
 
     /// Whether a single coefficient is physically possible; the components of a norm have any sign.
@@ -82,7 +85,9 @@ pub fn effect_sizes(fit: &JointFit, effects: &[EffectTerm], recordings: usize) -
         let same = others.filter(|other| other.component == size.component);
         let values: Vec<f64> = same.map(|other| other.value).collect();
         if values.len() == folds.len() && folds.len() >= MIN_FOLDS {
-            size.std_error = size.std_error.max(jackknife(&values));
+            let between = jackknife(&values);
+            size.std_error = size.std_error.max(between);
+            size.data_error = size.data_error.max(between);
         }
         let variance = fit.profiles.iter().map(|profile| {
             profile.variance(|values| {
@@ -135,12 +140,15 @@ fn effect_size(
     let one_unit =
         is_formula || parameters.iter().take(count).all(|p| p.unit == parameters[0].unit);
     let count = if one_unit { count } else { count.saturating_sub(1) };
-    let single = |i: usize| {
+    let single_with = |i: usize, prior: f64| {
         mean(fit.sensors.iter().map(|sensor| {
             let index = indices(sensor).start + i;
-            (sensor.values[index], sensor.std_error(index), sensor.prior_errors[index])
+            (sensor.values[index], sensor.std_error(index), prior * sensor.prior_errors[index])
         }))
     };
+    // Whether a coefficient is there: the errors of the sensors are independent.
+    let single = |i: usize| single_with(i, 0.0);
+    let mut with_prior = None;
     let (value, std_error, component) = match size.aggregation {
         Aggregation::Largest => {
             let all: Vec<(f64, f64)> = (0..count).map(single).collect();
@@ -153,6 +161,7 @@ fn effect_size(
                 || (0..count).max_by(|&a, &b| significance(a).total_cmp(&significance(b)));
             let chosen = largest.or_else(most_significant).unwrap_or(0);
             let (value, std_error) = all.get(chosen).copied().unwrap_or((f64::NAN, f64::NAN));
+            with_prior = (chosen < count).then(|| single_with(chosen, 1.0).1);
             let own = (0..count).flat_map(|i| {
                 fit.sensors.iter().map(move |sensor| {
                     let index = indices(sensor).start + i;
@@ -166,6 +175,7 @@ fn effect_size(
                 // A defect of a single flexure or channel would vanish in the mean over all.
                 Some((i, sensor, single, error)) if single.abs() > OUTLIER_RATIO * value.abs() => {
                     let name = &parameters[i].name;
+                    with_prior = None;
                     let component = format!("{name} of sensor {}", sensor.sensor);
                     (single, error, Some(component))
                 }
@@ -217,6 +227,7 @@ fn effect_size(
             return EffectSize {
                 value,
                 std_error,
+                data_error: std_error,
                 unit: Cow::Borrowed(unit),
                 component,
                 size,
@@ -235,7 +246,8 @@ fn effect_size(
     };
     EffectSize {
         value: value * size.factor,
-        std_error: std_error * size.factor.abs(),
+        std_error: with_prior.unwrap_or(std_error) * size.factor.abs(),
+        data_error: std_error * size.factor.abs(),
         unit: effect.size_unit(),
         component,
         size,

@@ -460,8 +460,8 @@ impl FittedModel {
                 true => self.has_searched_shapes(effect, recordings),
                 false => size.is_determined(),
             };
-            let is_vague =
-                size.std_error > MAX_RELATIVE_ERROR * size.size.typical.abs().max(size.value.abs());
+            let is_vague = size.data_error
+                > MAX_RELATIVE_ERROR * size.size.typical.abs().max(size.value.abs());
             size.is_plausible() && is_determined && !tiny && !is_vague
         })
     }
@@ -485,7 +485,7 @@ impl FittedModel {
         effect_sizes(&self.fit, &self.effects, recordings).iter().zip(&self.effects).all(
             |(size, effect)| {
                 let max_error = MAX_RELATIVE_ERROR * size.value.abs().max(size.size.typical.abs());
-                let is_determined = !effect.is_transient() || size.std_error <= max_error;
+                let is_determined = !effect.is_transient() || size.data_error <= max_error;
                 size.is_possible() && is_determined
             },
         )
