@@ -638,7 +638,7 @@ pub fn diagnose(
             cause: DifferenceCause::MagnetPlace,
             floors: [_, with],
             ..
-        } => !(floors < *with),
+        } => floors.is_nan() || floors >= *with,
         _ => true,
     });
     diagnosis.model = path.display().to_string();
