@@ -44,7 +44,7 @@ fn staircase_has_a_bar_with_its_height_per_step() {
         let height = format!("{} G.", number(step.held_out_rms_g));
         assert!(stairs.contains(&height), "{height}");
     }
-    assert!(stairs.contains("2. + hysteresis") && stairs.contains("RMS in gauss"));
+    assert!(stairs.contains("2. + hysteresis") && stairs.contains("RMS in G"));
 
     // With forces of every step: 0.5^2 - 0.4^2 = 0.3^2.
     let mut with_forces = full();
