@@ -46,7 +46,7 @@ pub struct Args {
     /// [default: 127.0.0.1:8765]; the topics are those of `record --mcap`.
     #[arg(long, value_name = "ADDRESS", num_args = 0..=1, default_missing_value = "127.0.0.1:8765")]
     foxglove: Option<SocketAddr>,
-    /// Host name or origin that may connect too, such as gripper.lab or foxglove.lab; may be given several times. Without
+    /// Host name or origin that may connect too, such as gripper.lab or `https://foxglove.lab`; may be given several times. Without
     /// it these are this machine, the address that it listens on, and Foxglove.
     #[arg(long, value_name = "NAME", requires = "foxglove")]
     foxglove_allow: Vec<String>,
