@@ -189,7 +189,7 @@ impl Recorder {
         self.last_us
     }
 
-    /// Writes what is buffered; call it also while no rows arrive. Later messages of less than a second stay in the chunk of the MCAP file.
+    /// Writes what is buffered; call it also while no rows arrive. Messages of less than a second stay in the chunk of the MCAP file.
     ///
     /// # Errors
     /// Writing failed.

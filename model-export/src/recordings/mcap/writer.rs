@@ -107,8 +107,6 @@ pub struct McapWriter {
     writer: mcap::Writer<BufWriter<File>>,
     /// Time of the first message of the chunk, and when it was written; `None` in an empty one.
     chunk: Option<(u64, Instant)>,
-    /// Whether no chunk is in the file yet.
-    is_first: bool,
 }
 
 impl McapWriter {
@@ -127,16 +125,15 @@ impl McapWriter {
             .disable_seeking(true);
         let writer =
             options.create(BufWriter::new(file)).map_err(|error| unwritable(path, error))?;
-        Ok(Self { path: path.to_path_buf(), writer, chunk: None, is_first: true })
+        Ok(Self { path: path.to_path_buf(), writer, chunk: None })
     }
 
-    /// Ends a chunk that was begun a second ago, also if no message follows, and the first one at once: a file that is cut off in its
-    /// first second is importable.
+    /// Ends a chunk that was begun a second ago, also if no message follows.
     ///
     /// # Errors
     /// The file cannot be written.
     pub fn flush_due(&mut self) -> Result<(), DataError> {
-        let is_due = self.chunk.is_some_and(|(_, begun)| self.is_first || begun.elapsed() >= CHUNK);
+        let is_due = self.chunk.is_some_and(|(_, begun)| begun.elapsed() >= CHUNK);
         if is_due { self.flush() } else { Ok(()) }
     }
 
@@ -146,7 +143,6 @@ impl McapWriter {
     /// The file cannot be written.
     pub fn flush(&mut self) -> Result<(), DataError> {
         self.chunk = None;
-        self.is_first = false;
         self.writer.flush().map_err(|error| unwritable(&self.path, error))
     }
 
