@@ -372,7 +372,8 @@ fn killed_recordings_are_imported_up_to_the_last_second() {
     let dir = workdir();
     let reference = "columns = [{ column = 1, unit = \"N\", to = \"f0_x_n\" }]\n";
     std::fs::write(dir.path("map.toml"), reference).unwrap();
-    for (number, wanted) in [1600, 1777, 1999, 2001, 2400, 2999, 3100, 3333].into_iter().enumerate() {
+    for (number, wanted) in [1600, 1777, 1999, 2001, 2400, 2999, 3100, 3333].into_iter().enumerate()
+    {
         let has_reference = number % 2 == 1;
         let server = has_reference.then(|| line_server(|row| format!("{row}\n")));
         let mut line = format!(
