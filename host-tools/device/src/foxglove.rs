@@ -64,7 +64,7 @@ pub struct FoxgloveServer {
     has_ticks: bool,
 }
 
-/// What clients are told.
+/// What clients receive.
 #[derive(Clone)]
 enum News {
     Topic(Value),

@@ -53,7 +53,7 @@ pub async fn serve(listener: TcpListener, router: Router) -> Infallible {
             continue;
         };
         let Ok(place) = places.clone().try_acquire_owned().map(Place::new) else {
-            // A new connection has room for it; who is not told finds it closed.
+            // A new connection has room for it; a client that does not receive it finds it closed.
             let _ = stream.into_std().and_then(|mut stream| stream.write_all(BUSY));
             continue;
         };

@@ -9,7 +9,7 @@ use crate::workdir::{WorkDir, text};
 /// Rows of a recording, 20 ms apart.
 const ROWS: u32 = 1500;
 
-/// Two recordings of a load cell in volts, whose signal also follows a lever that nobody told the model.
+/// Two recordings of a load cell in volts, whose signal also follows a lever that the model does not have.
 fn load_cell(dir: &WorkDir) {
     for recording in [1_u32, 2] {
         let folder = dir.path("campaign").join(recording.to_string());

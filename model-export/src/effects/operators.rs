@@ -7,8 +7,9 @@ use crate::effects::ExcitationSeries;
 
 /// Half width of the smoothing window in rows.
 const HALF_WINDOW: usize = 4;
-/// Narrower windows, down to the least of which the regression still averages.
-const NARROWER: [usize; 2] = [3, 2];
+/// Half widths that are tried, and the one with which the regression hardly averages.
+const HALF_WINDOWS: [usize; 2] = [HALF_WINDOW, 3];
+const NARROWEST: usize = 2;
 /// Maximum ratio of the noise that two windows leave: more of the wider one is motion of the load.
 const SAME_NOISE: f64 = 1.2;
 /// Minimum number of rows to compare windows.
@@ -46,12 +47,11 @@ pub fn half_window<'v>(time_s: &[f64], columns: impl Iterator<Item = &'v [f64]> 
         };
         columns.clone().map(variance).collect()
     };
-    let least = noise(NARROWER[NARROWER.len() - 1]);
+    let least = noise(NARROWEST);
     let is_noise = |half_window: &usize| {
         noise(*half_window).iter().zip(&least).all(|(own, least)| *own <= SAME_NOISE * least)
     };
-    let wider = std::iter::once(HALF_WINDOW).chain(NARROWER);
-    wider.take(NARROWER.len()).find(is_noise).unwrap_or(NARROWER[NARROWER.len() - 1])
+    HALF_WINDOWS.into_iter().find(is_noise).unwrap_or(NARROWEST)
 }
 
 /// Value and slope at `at` of the regression cubic, or of the regression line with too few points.
@@ -249,6 +249,31 @@ mod tests {
             assert_abs_diff_eq!(smooth[i], values[i], epsilon = 1e-9);
             assert_abs_diff_eq!(rate[i], 15.0 * time_s[i] * time_s[i] - 3.0, epsilon = 1e-6);
         }
+    }
+
+    /// Loads of 20 N with noise of 0.15 N at 100 Hz: of 0.3 Hz the noise alone is left, of 12 Hz a part of the load too.
+    #[test]
+    fn the_window_is_narrower_for_a_fast_load() {
+        let mut state = 1_u64;
+        let mut noise = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+            0.15 * 12_f64.sqrt() * ((state >> 40) as f64 / (1_u64 << 24) as f64 - 0.5)
+        };
+        let time_s = times(3000);
+        let mut load = |hz: f64| -> Vec<f64> {
+            time_s
+                .iter()
+                .map(|t| 20.0 * libm::sin(std::f64::consts::TAU * hz * t) + noise())
+                .collect()
+        };
+        let (slow, fast) = (load(0.3), load(12.0));
+        let of = |columns: &[&[f64]]| half_window(&time_s, columns.iter().copied());
+        assert_eq!((of(&[&slow]), of(&[&fast]), of(&[&slow, &fast])), (4, 2, 2));
+        // The exact rate of the fast load where it is largest: 20 N times its angular frequency.
+        let rate = |half_window: usize| smooth_within(half_window, &time_s, &fast).1[1000];
+        let exact = 20.0 * std::f64::consts::TAU * 12.0;
+        assert!((rate(2) / exact - 1.0).abs() < 0.05, "{} of {exact}", rate(2));
+        assert!((rate(4) / exact - 1.0).abs() > 0.1, "{} of {exact}", rate(4));
     }
 
     #[test]

@@ -339,3 +339,17 @@ fn mean(values: impl Iterator<Item = (f64, f64, f64)> + Clone) -> (f64, f64) {
     let common = (weighted(&|_, by_prior| by_prior) / total).powi(2) - independent;
     (mean, (birge / total + common.max(0.0)).sqrt())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Four sensors with an error of 0.2, of which 0.12 is by the prior: 0.2^2/4 + 0.12^2 (1 - 1/4).
+    #[test]
+    fn what_the_prior_takes_does_not_average_out() {
+        let of = |by_prior: f64| mean(std::iter::repeat_n((1.0, 0.2, by_prior), 4));
+        assert!((of(0.0).1 - 0.1).abs() < 1e-12);
+        assert!((of(0.12).1 - 0.0208_f64.sqrt()).abs() < 1e-12);
+        assert_eq!(of(0.12).0, 1.0);
+    }
+}

@@ -195,3 +195,22 @@ fn profile(states: &[State], j: usize, grid: &[f64]) -> Option<ShapeProfile> {
     });
     Some(ShapeProfile { others: others.collect(), fitted })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Of a sensor with one value each: 2 as fitted, 5 half as likely, and 10 without a quantity.
+    #[test]
+    fn shapes_count_by_their_likelihood() {
+        let values = |value: f64| vec![vec![value]];
+        let profile = ShapeProfile {
+            fitted: values(2.0),
+            others: vec![(0.5, values(5.0)), (3.0, values(10.0))],
+        };
+        let of = |values: &[Vec<f64>]| Some(values[0][0]).filter(|value| *value < 9.0);
+        // 0.5 * 3^2 / 1.5.
+        assert!((profile.variance(of) - 3.0).abs() < 1e-12);
+        assert_eq!(profile.variance(|_| None), 0.0);
+    }
+}

@@ -4,7 +4,7 @@
 use crate::diagnose::candidate_fit::{best_candidate, best_pair};
 use crate::diagnose::candidates::{MIN_GAIN, screen};
 use crate::diagnose::confusable_effects::{Collinearity, Similarity};
-use crate::diagnose::formulas::MIN_KEPT;
+use crate::diagnose::formulas::{MIN_KEPT, NEAR};
 use crate::diagnose::observer::Observer;
 use crate::diagnose::residuals::{attributed_covariates, block_s, residual_tables};
 use crate::diagnose::selection::{DISTINGUISHABLE, DropReason, FittedModel, SMALL, Selection};
@@ -270,13 +270,10 @@ fn resolve_equivalences(
     Ok(())
 }
 
-/// Difference of the squared errors up to which an effect with fewer coefficients is equivalent: one number for all flexures that
-/// explains what several explain is the likelier cause, although it is not exact where a load jumps.
-const SIMPLER: f64 = 0.02;
-
 /// Compares the effect of each step with those that explained a part of the same when it was accepted, in the last model: later
-/// steps and formulas explain what was still in the residual then. An effect that now explains as much is equivalent; with fewer
-/// coefficients it takes the place of the accepted one.
+/// steps and formulas explain what was still in the residual then. An effect that now explains as much is equivalent, with fewer
+/// parameters within [`NEAR`]: one number for all flexures that explains what several explain is the likelier cause, although it is
+/// not exact where a load jumps. It takes the place of the accepted one where that is not distinguishably better.
 ///
 /// # Errors
 /// A fit fails.
@@ -292,7 +289,7 @@ pub fn reconsider_shadows(
             return Ok(());
         };
         let is_simpler = |other: &EffectTerm| parameters(other) < parameters(&step.chosen);
-        let limit = |other: &EffectTerm| if is_simpler(other) { SIMPLER } else { DISTINGUISHABLE };
+        let limit = |other: &EffectTerm| if is_simpler(other) { NEAR } else { DISTINGUISHABLE };
         let instead = |other: &EffectTerm| {
             let effects = replaced(&last.effects, &step.chosen, other);
             let model = FittedModel::without_validation(prepared, effects, options).ok()?;

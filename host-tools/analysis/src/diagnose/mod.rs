@@ -539,8 +539,8 @@ pub fn diagnose(
     if sample.row_count() < prepared.row_count() {
         observer.stage("fitting all rows", ALL_ROWS);
         selection.refit(&prepared, options)?;
-        eliminate_undetermined(&prepared, &mut selection, formulas.len(), options)?;
     }
+    eliminate_undetermined(&prepared, &mut selection, formulas.len(), options)?;
     selection.confirm(&mut formulas);
     let mut forces = Vec::new();
     if !observer.is_stopped() {
@@ -631,14 +631,13 @@ pub fn diagnose(
     let is_as_recorded = differences.is_none();
     diagnosis.findings = differences.map_or_else(Vec::new, |found| found.findings);
     // The effects were sought on the recordings with the differences of a place: those that explain more are the likelier cause.
-    let floors =
-        diagnosis.staircase.last().map_or(f64::NAN, |last| last.held_out_rms_g / last.floor_g);
+    let last = selection.stages.last();
     diagnosis.findings.retain(|finding| match &finding.evidence {
         Evidence::RecordingDifference {
             cause: DifferenceCause::MagnetPlace,
             floors: [_, with],
             ..
-        } => floors.is_nan() || floors >= *with,
+        } => last.is_none_or(|last| last.floors() >= *with),
         _ => true,
     });
     diagnosis.model = path.display().to_string();

@@ -320,11 +320,11 @@ mod tests {
             if ms == 500 {
                 (&urgent).write_all(b"< send 001 0 >").unwrap();
             }
-            let heard = std::mem::take(bus.other_frames.as_mut().unwrap());
-            if heard.iter().any(|(_, frame)| frame.identifier() == 1) {
+            let received = std::mem::take(bus.other_frames.as_mut().unwrap());
+            if received.iter().any(|(_, frame)| frame.identifier() == 1) {
                 urgent_ms = Some(ms);
             }
-            server.exchange(&[], &heard);
+            server.exchange(&[], &received);
             while bus.waiting() < 32
                 && let Some(frame) = server.next_frame()
             {

@@ -113,9 +113,9 @@ impl CanBus {
     /// Completes a frame.
     fn end(&mut self, transfer: Transfer) {
         if !transfer.is_own {
-            let heard = self.other_frames.as_mut().zip(firmware_frame(&transfer.frame));
-            if let Some((heard, frame)) = heard {
-                heard.push((transfer.ends.us(), frame));
+            let received = self.other_frames.as_mut().zip(firmware_frame(&transfer.frame));
+            if let Some((frames, frame)) = received {
+                frames.push((transfer.ends.us(), frame));
             }
             self.events.push_back(CanEvent::Received(transfer.frame));
             return;

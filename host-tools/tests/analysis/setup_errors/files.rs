@@ -523,6 +523,20 @@ fn counts_that_wrapped_are_found_and_restored() {
     assert_eq!(restored, clean(2, "hall.csv").numbers("s1_x_lsb"));
 }
 
+/// Spikes of about a power of two of counts: the values beside them do not go on where they were.
+#[test]
+fn spikes_do_not_wrap() {
+    let spoilt = CampaignCopy::new().change(&[2], "hall.csv", |cells| {
+        let heights = [2073.0, 1990.0, 2048.0, 2010.0];
+        cells.change("s1_y_lsb", |row, counts| {
+            let spike = if row % 997 == 500 { heights[row / 997 % 4] } else { 0.0 };
+            (counts - spike).to_string()
+        });
+    });
+    let ids: Vec<&str> = found(&spoilt).iter().map(|finding| finding.id).collect();
+    assert!(!ids.contains(&"wrapped") && ids.contains(&"outlier"), "{ids:?}");
+}
+
 #[test]
 fn clipped_reference_stops_and_a_scale_at_rest_does_not() {
     for (limit, stops) in [(20.0, true), (0.0, false)] {

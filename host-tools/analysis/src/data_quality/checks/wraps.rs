@@ -13,8 +13,8 @@ const LEAST_JUMP: f64 = 0.5;
 const BITS: std::ops::RangeInclusive<i32> = 8..=24;
 /// Maximum deviation of a jump from a power of two of counts: the signal moves from row to row.
 const NEAR: f64 = 0.03;
-/// Maximum distance of a jump from that power, in root mean squares of the steps between other rows: what does not wrap is as
-/// steady as before. Spikes are not.
+/// Maximum distance of a jump from that power, in root mean squares of the steps between other rows: a signal that wraps
+/// moves on as steadily as elsewhere, and the heights of spikes differ.
 const STEADY: f64 = 4.0;
 /// Ratio of the groups' spans to the distance between them from which the signal itself may have jumped.
 const WIDEST: f64 = 0.9;

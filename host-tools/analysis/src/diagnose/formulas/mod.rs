@@ -57,7 +57,7 @@ const OPEN: f64 = 1.03;
 const REPRODUCED: f64 = 0.9;
 /// Candidates, and points of the chain, within this fraction of the least remaining squared error are equivalent; those with the fewest
 /// coefficients are taken.
-const NEAR: f64 = 0.02;
+pub const NEAR: f64 = 0.02;
 /// Points of the chain within this fraction in the linearised model are fitted fully.
 const NEAR_LINEAR: f64 = 0.2;
 /// Minimum reduction of the held-out squared error.

@@ -1,4 +1,4 @@
-//! Formulas with fewer coefficients that explain as much as one accepted effect.
+//! Formulas with fewer parameters that explain as much as one accepted effect.
 //!
 //! An effect with several coefficients for each sensor may imitate a cause that has one: the offsets and gains of a sensor over the
 //! temperature explain flexures that soften when warm. Whether they do is not seen where the error falls to the noise floor, so each
@@ -33,7 +33,7 @@ const CAUSES: [&[(&str, &str)]; 9] = [
     &[("fx_n", "fx_n*"), ("fz_n", "fz_n*")],
 ];
 
-/// A formula that explains as much as an accepted effect, with fewer coefficients.
+/// A formula that explains as much as an accepted effect, with fewer parameters.
 pub struct SimplerFormula {
     /// The effect.
     pub effect: EffectTerm,
@@ -41,7 +41,7 @@ pub struct SimplerFormula {
     pub formula: DiscoveredFormula,
 }
 
-/// For each accepted effect that reads a covariate: the formula of that covariate that explains as much with fewer coefficients, if
+/// For each accepted effect that reads a covariate: the formula of that covariate that explains as much with fewer parameters, if
 /// there is one. They are compared on the rows of `sample`, and the best with the effect on all rows. `count` formulas were found
 /// already. None for a polynomial, which has no flexures.
 ///
@@ -61,49 +61,51 @@ pub fn simpler_formulas(
     let mut found = Vec::new();
     for step in &selection.steps {
         let effect = &step.chosen;
-        let coefficients = coefficients(effect, sample.recordings());
+        let parameters = effect.parameters(sample.recordings()).len();
         let name = format!("formula_{}", count + found.len() + 1);
-        let mut causes: Vec<Vec<EffectTerm>> = Vec::new();
+        let mut causes: Vec<Cause> = Vec::new();
         for covariate in effect.needs() {
-            for cause in CAUSES.iter().filter(|cause| cause.len() < coefficients) {
-                causes.push(formulas(&name, cause, &covariate)?);
+            for points in CAUSES.iter().filter(|points| points.len() < parameters) {
+                causes.push(Cause::new(&name, points, &covariate)?);
             }
         }
         let others: Vec<EffectTerm> =
             last.effects.iter().filter(|own| *own != effect).cloned().collect();
-        let with = |formulas: &[EffectTerm]| [&others, formulas].concat();
-        let mut fits: Vec<(f64, Vec<EffectTerm>)> = causes
+        let with = |cause: &Cause| [&others[..], &cause.effects].concat();
+        let mut fits: Vec<(f64, Cause)> = causes
             .into_par_iter()
-            .filter_map(|formulas| {
-                let fit = FittedModel::without_validation(&few, with(&formulas), options).ok()?;
-                Some((fit.fitted_mean_square(), formulas))
+            .filter_map(|cause| {
+                let fit = FittedModel::without_validation(&few, with(&cause), options).ok()?;
+                Some((fit.fitted_mean_square(), cause))
             })
             .collect();
         fits.sort_by(|a, b| a.0.total_cmp(&b.0));
         // The best of each number of formulas, fewer first.
-        let mut best: BTreeMap<usize, Vec<EffectTerm>> = BTreeMap::new();
-        for (_, formulas) in fits {
-            best.entry(formulas.len()).or_insert(formulas);
+        let mut best: BTreeMap<usize, Cause> = BTreeMap::new();
+        for (_, cause) in fits {
+            best.entry(cause.effects.len()).or_insert(cause);
         }
-        for formulas in best.into_values() {
-            let model = FittedModel::without_validation(sample, with(&formulas), options)?;
+        for cause in best.into_values() {
+            let model = FittedModel::without_validation(sample, with(&cause), options)?;
             if model.is_clearly_worse(last) {
                 continue;
             }
-            let split = all.split(&[&last.effects[..], &formulas].concat());
+            let split = all.split(&[&last.effects[..], &cause.effects].concat());
             let model = model.on(all, split, options)?;
             let with_effect = last.clone().with_split(all, split, options);
             if with_effect.is_distinguishably_better(&model) {
                 continue;
             }
+            let left = model.mean_square() / with_effect.mean_square();
             let mut formula = DiscoveredFormula {
                 name,
-                covariates: effect.needs(),
-                targets: targets(&formulas),
-                effects: formulas,
+                targets: cause.targets,
+                covariates: vec![cause.covariate],
+                effects: cause.effects,
                 models: Vec::new(),
-                gain: step.gain,
-                p_value: step.p_adjusted,
+                gain: 1.0 - (1.0 - step.gain) * left,
+                // It is compared with the effect, not tested.
+                p_value: f64::NAN,
                 other_targets: None,
             };
             formula.set_models(&model, all.recordings());
@@ -114,33 +116,27 @@ pub fn simpler_formulas(
     Ok(found)
 }
 
-/// Coefficients of an effect for each sensor.
-fn coefficients(effect: &EffectTerm, recordings: usize) -> usize {
-    effect.parameters(recordings).iter().filter(|parameter| parameter.is_coefficient()).count()
+/// Formulas of one covariate that act together.
+struct Cause {
+    covariate: String,
+    targets: Vec<&'static str>,
+    effects: Vec<EffectTerm>,
 }
 
-/// The formulas of a cause, named after their targets where there are several.
-fn formulas(name: &str, cause: &[(&str, &str)], covariate: &str) -> Result<Vec<EffectTerm>> {
-    let formula = |(target, factor): &(&str, &str)| {
-        let name = if cause.len() == 1 { name.to_owned() } else { format!("{name}_{target}") };
-        let text = format!("{name}: {target} = a*{factor}{covariate}");
-        let expression = Expression::parse(&text, &[], &Expression::covariate_names(&text))
-            .map_err(|error| anyhow!("{error}"))?;
-        Ok(EffectTerm::Expression(Arc::new(expression)))
-    };
-    cause.iter().map(formula).collect()
-}
-
-fn targets(formulas: &[EffectTerm]) -> Vec<&'static str> {
-    let names = CAUSES.iter().flat_map(|cause| cause.iter().map(|(target, _)| *target));
-    let acts_on = |target: &&'static str| {
-        formulas.iter().any(|formula| match formula {
-            EffectTerm::Expression(expression) => expression.text.contains(&format!("{target} =")),
-            EffectTerm::Catalogue(_) => false,
+impl Cause {
+    /// Named after their targets where there are several.
+    fn new(name: &str, points: &[(&'static str, &str)], covariate: &str) -> Result<Self> {
+        let formula = |(target, factor): &(&str, &str)| {
+            let name = if points.len() == 1 { name.to_owned() } else { format!("{name}_{target}") };
+            let text = format!("{name}: {target} = a*{factor}{covariate}");
+            let expression = Expression::parse(&text, &[], &Expression::covariate_names(&text))
+                .map_err(|error| anyhow!("{error}"))?;
+            Ok(EffectTerm::Expression(Arc::new(expression)))
+        };
+        Ok(Self {
+            covariate: covariate.to_owned(),
+            targets: points.iter().map(|(target, _)| *target).collect(),
+            effects: points.iter().map(formula).collect::<Result<_>>()?,
         })
-    };
-    let mut targets: Vec<&'static str> = names.filter(acts_on).collect();
-    targets.sort_unstable();
-    targets.dedup();
-    targets
+    }
 }

@@ -55,7 +55,7 @@ fn floors(stair: &StaircaseStep) -> f64 {
     stair.held_out_rms_g / stair.floor_g
 }
 
-/// What the bars show: forces in newtons, or the field in gauss where the device computes no forces.
+/// What the bars show: forces in newtons, or the signal where the device computes no forces.
 struct Bars {
     caption: &'static str,
     axis: String,
