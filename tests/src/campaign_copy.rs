@@ -32,7 +32,8 @@ impl CsvTable {
         Self { header: rows.next().expect("a header"), rows: rows.collect() }
     }
 
-    fn write(&self, folder: &Path, name: &str) {
+    /// Writes it compressed, as `name` with .gz.
+    pub fn write(&self, folder: &Path, name: &str) {
         let mut text = self.header.join(",") + "\n";
         for row in &self.rows {
             text += &(row.join(",") + "\n");

@@ -1160,6 +1160,7 @@ mod tests {
     use super::*;
     use crate::text::diagnosis_fixture::{formula, full, verdict_of};
     use analysis::compare::ErrorRows;
+    use analysis::diagnose::selection::WorstAxis;
 
     #[test]
     fn equivalent_set_lists_reasons_and_experiments() {
@@ -1431,6 +1432,20 @@ mod tests {
         let page = unwrapped(&uncolored(&diagnosis));
         assert!(page.contains("AT NOISE FLOOR with what was found"));
         assert!(!page.contains("UNEXPLAINED"));
+    }
+
+    #[test]
+    fn an_axis_above_its_floor_is_named_where_all_together_are_at_it() {
+        let mut diagnosis = full();
+        let last = diagnosis.staircase.last_mut().unwrap();
+        last.held_out_rms_g = 1.1 * last.floor_g;
+        diagnosis.is_complete = true;
+        diagnosis.worst_axis = Some(WorstAxis { sensor: 2, axis: "y", floors: 1.72 });
+        let expected =
+            "Structure remains: sensor 2 y has 1.72 times its floor, all axes together 1.10 times";
+        assert!(verdict(&diagnosis).contains(expected), "{}", verdict(&diagnosis));
+        diagnosis.at_floor = true;
+        assert!(verdict(&diagnosis).contains("at the noise floor"), "{}", verdict(&diagnosis));
     }
 
     #[test]
