@@ -248,7 +248,7 @@ fn lag_of_one_flexure_is_estimated_by_sensor() {
     assert!((9.0..11.0).contains(&value), "{value}");
 }
 
-/// The load cell's span follows the temperature by 0.05 %/K: offset and gain of a sensor over the temperature explain as much.
+/// The load cell's span follows the temperature by 0.02 %/K: offset and gain of a sensor over the temperature explain as much.
 #[test]
 fn a_span_over_the_temperature_is_no_drift_of_the_sensor_alone() {
     let dir = WorkDir::empty();
@@ -263,7 +263,7 @@ fn a_span_over_the_temperature_is_no_drift_of_the_sensor_alone() {
             .iter()
             .map(|time| {
                 let row = times.partition_point(|own| own < time).min(times.len() - 1);
-                1.0 + 5e-4 * (temperatures[row] - 25.0)
+                1.0 + 2e-4 * (temperatures[row] - 25.0)
             })
             .collect();
         for column in ["f0_x_n", "f0_z_n"] {
