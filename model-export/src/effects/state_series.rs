@@ -226,17 +226,23 @@ pub enum MovedSeries<'s> {
 impl MovedSeries<'_> {
     /// Between states at the parameters of the chain and at the moved parameter.
     fn between(from: &[PhysicalState], to: &[PhysicalState]) -> Self {
-        let rows = || from.iter().zip(to).map(|(from, to)| (from.components(), to.components()));
-        let mut changes = [false; PhysicalState::COMPONENTS];
-        for (from, to) in rows() {
-            for (changes, (from, to)) in changes.iter_mut().zip(from.iter().zip(&to)) {
-                *changes |= from != to;
+        let mut changing = [false; PhysicalState::COMPONENTS];
+        for (from, to) in from.iter().zip(to).filter(|(from, to)| from != to) {
+            let pairs = from.components().into_iter().zip(to.components());
+            for (changing, (from, to)) in changing.iter_mut().zip(pairs) {
+                *changing |= from != to;
             }
         }
-        let changing = (0..PhysicalState::COMPONENTS).filter(|component| changes[*component]);
-        let changes =
-            |component: usize| rows().map(|(from, to)| to[component] - from[component]).collect();
-        Self::States(changing.map(|component| (component, changes(component))).collect())
+        let changing = (0..PhysicalState::COMPONENTS).filter(|component| changing[*component]);
+        let mut changes: Vec<(usize, Vec<f64>)> =
+            changing.map(|component| (component, Vec::with_capacity(to.len()))).collect();
+        for (from, to) in from.iter().zip(to) {
+            let (from, to) = (from.components(), to.components());
+            for (component, changes) in &mut changes {
+                changes.push(to[*component] - from[*component]);
+            }
+        }
+        Self::States(changes)
     }
 
     /// First-order changes of the reading, given the responses of the rows from `first` on.
