@@ -40,7 +40,13 @@ pub mod residual_table;
 pub const AT_FLOOR: f64 = 1.15;
 
 /// The same for the residual of one axis, of which a recording has many.
-pub const AXIS_AT_FLOOR: f64 = AT_FLOOR * AT_FLOOR;
+const AXIS_AT_FLOOR: f64 = AT_FLOOR * AT_FLOOR;
+
+/// Whether a residual is that of noise, in noise floors: over all axes and on the `worst` one. The noise of the reference may hide
+/// on some axes what another one shows.
+pub fn is_at_floor(floors: f64, worst: Option<f64>) -> bool {
+    floors <= AT_FLOOR && worst.is_none_or(|worst| worst <= AXIS_AT_FLOOR)
+}
 
 /// Residuals below this factor times the floor show that the floor is too high: no model is better than the noise.
 pub const BELOW_FLOOR: f64 = 0.9;

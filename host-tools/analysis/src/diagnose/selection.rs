@@ -1,7 +1,7 @@
 //! State of the forward selection: the fitted models and the accepted steps.
 
 use crate::compare::covariates::Covariate;
-use crate::compare::{AT_FLOOR, AXIS_AT_FLOOR, ForceError};
+use crate::compare::{self, AT_FLOOR, ForceError};
 use crate::diagnose::DiscoveredFormula;
 use crate::diagnose::candidates::{MIN_GAIN, ScreenedEffect};
 use crate::diagnose::confusable_effects::{Collinearity, Similarity};
@@ -398,11 +398,9 @@ impl FittedModel {
         axes.filter(|axis| axis.floors.is_finite()).max_by(|a, b| a.floors.total_cmp(&b.floors))
     }
 
-    /// Whether the cross-validated error is that of noise, over all axes and on each: the noise of the reference may hide on some
-    /// what another one shows.
+    /// Whether the cross-validated error is that of noise ([`compare::is_at_floor`]).
     pub fn is_at_floor(&self) -> bool {
-        self.floors() <= AT_FLOOR
-            && self.worst_axis().is_none_or(|axis| axis.floors <= AXIS_AT_FLOOR)
+        compare::is_at_floor(self.floors(), self.worst_axis().map(|axis| axis.floors))
     }
 
     /// Reduction of the cross-validated squared error relative to `before`.

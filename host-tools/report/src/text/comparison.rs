@@ -3,9 +3,9 @@
 use crate::text::diagnosis::below_floor;
 use analysis::compare::attribution::MIN_SHARE;
 use analysis::compare::{
-    AT_FLOOR, AXIS_AT_FLOOR, Attribution, BELOW_FLOOR, Bin, Comparison, ErrorUnit, FieldAxisErrors,
+    AT_FLOOR, Attribution, BELOW_FLOOR, Bin, Comparison, ErrorUnit, FieldAxisErrors,
     ForceAxisErrors, ForceError, MeanCondition, MissingForces, Validation, WorstInterval, floor_g,
-    rms_g,
+    is_at_floor, rms_g,
 };
 use analysis::data_quality::Finding;
 use analysis::numbers::{self, three_digits};
@@ -610,7 +610,7 @@ fn conclusion(comparison: &Comparison) -> String {
             field(floor)
         );
     }
-    if rms <= AT_FLOOR * floor && worst <= AXIS_AT_FLOOR {
+    if is_at_floor(rms / floor, Some(worst)) {
         if let Some(lead) = chosen.first() {
             return format!(
                 "Within {:.0} % of the noise floor: {error}, the floor is {}; {:.0} % of the remaining residual {}.",

@@ -2,7 +2,7 @@
 
 use crate::text::comparison::decimals;
 use crate::text::diagnosis::below_floor;
-use analysis::compare::{AT_FLOOR, BELOW_FLOOR};
+use analysis::compare::{AT_FLOOR, BELOW_FLOOR, is_at_floor};
 use analysis::fit::CampaignFit;
 use analysis::noise_floor::NoiseSummary;
 use analysis::numbers;
@@ -219,16 +219,15 @@ const GROSS: f64 = 0.1;
 pub fn verdict(model: &ModelFile, unit: SignalUnit) -> String {
     let ratio = |axis: &HeldOutError| axis.rms_g / axis.floor_g;
     let worst = axes(model).max_by(|a, b| ratio(a.1).total_cmp(&ratio(b.1)));
-    let Some((sensor, axis)) = worst.filter(|(_, axis)| ratio(axis) > AT_FLOOR) else {
-        let [rms_g, floor_g] = [
-            pooled_rms(axes(model).map(|(_, axis)| axis.rms_g)),
-            pooled_rms(axes(model).map(|(_, axis)| axis.floor_g)),
-        ];
+    let rms_g = pooled_rms(axes(model).map(|(_, axis)| axis.rms_g));
+    let floor_g = pooled_rms(axes(model).map(|(_, axis)| axis.floor_g));
+    let is_open = !is_at_floor(rms_g / floor_g, worst.map(|(_, axis)| ratio(axis)));
+    let Some((sensor, axis)) = worst.filter(|_| is_open) else {
         if rms_g < BELOW_FLOOR * floor_g {
             return below_floor(rms_g, floor_g, unit);
         }
         let percent = 100.0 * (AT_FLOOR - 1.0);
-        return format!("At the noise floor: every axis is within {percent:.0} % of its floor.");
+        return format!("At the noise floor: the error is within {percent:.0} % of its floor.");
     };
     let worst = format!(
         "Maximum: sensor {} {}, {:.1} times its floor.",
