@@ -304,3 +304,56 @@ fn a_line_through_a_parabola_is_answered_by_the_second_degree() {
     assert!(higher.now_g > 0.15 && higher.then_g < 0.02, "{higher:?}");
     assert_eq!(fitted(2), None);
 }
+
+/// The same tables where the field rises by 40 G within 5 ms once a second, between two rows of the reference.
+fn with_knocks(hall: &str) -> String {
+    rows(hall, |all| {
+        let knock = |row: &str| {
+            let mut cells: Vec<f64> = row.split(',').map(|cell| cell.parse().unwrap()).collect();
+            if (503..508).contains(&((cells[0] as u64 / 1000) % 1000)) {
+                cells[1] += 40.0 / 0.125;
+            }
+            cells.iter().map(f64::to_string).collect::<Vec<_>>().join(",")
+        };
+        all.into_iter().map(knock).collect()
+    })
+}
+
+#[test]
+fn rows_with_a_knock_in_their_window_are_left_out() {
+    let (hall, force) = bench(10.0).tables(1);
+    let left_out = |hall: &str| -> Vec<f64> {
+        let campaign = recording(hall, &force);
+        let recording = &campaign.recordings[0];
+        let fields = recording.sensors[&0].field_g.iter().zip(&recording.time_s);
+        let times: Vec<f64> =
+            fields.filter(|(field, _)| field[0].is_nan()).map(|(_, time)| *time).collect();
+        let notices = recording.notices.iter().map(ToString::to_string);
+        let said =
+            notices.filter(|notice| notice.contains("rows of a sensor are left out")).count();
+        assert_eq!(said, usize::from(!times.is_empty()));
+        times
+    };
+    assert_eq!(left_out(&hall), Vec::<f64>::new());
+    let knocked = left_out(&with_knocks(&hall));
+    let near: Vec<f64> = (0..10).flat_map(|s| [f64::from(s) + 0.50, f64::from(s) + 0.51]).collect();
+    assert_eq!(knocked.len(), near.len(), "{knocked:?}");
+    assert!(knocked.iter().zip(&near).all(|(a, b)| (a - b).abs() < 1e-9), "{knocked:?}");
+}
+
+/// A load that moves in a curve everywhere leaves every row.
+#[test]
+fn rows_of_a_fast_load_are_kept() {
+    let (hall, force) = bench(10.0).tables(1);
+    let fast = rows(&hall, |all| {
+        let shake = |row: &str| {
+            let mut cells: Vec<f64> = row.split(',').map(|cell| cell.parse().unwrap()).collect();
+            let phase = std::f64::consts::TAU * 30.0 * cells[0] * 1e-6;
+            cells[1] += (100.0 / 0.125 * phase.sin()).round();
+            cells.iter().map(f64::to_string).collect::<Vec<_>>().join(",")
+        };
+        all.into_iter().map(shake).collect()
+    });
+    let campaign = recording(&fast, &force);
+    assert!(campaign.recordings[0].sensors[&0].field_g.iter().all(|field| field[0].is_finite()));
+}

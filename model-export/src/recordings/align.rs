@@ -6,6 +6,8 @@
 
 use std::collections::VecDeque;
 
+use nalgebra::{Matrix3, Vector3};
+
 /// Relation of the two clocks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Alignment {
@@ -30,6 +32,60 @@ pub struct WindowMean {
     pub values: Vec<f64>,
     /// Ratio of the standard deviation of white noise after averaging to that before.
     pub noise_gain: f64,
+    /// How the channels move within the window; `None` with fewer than [`MIN_SAMPLES`].
+    pub motion: Option<WindowMotion>,
+}
+
+/// Samples of a window, at least, of which the motion is evaluated.
+const MIN_SAMPLES: usize = 7;
+
+/// Motion of the channels within a window, by a parabola through its samples.
+#[derive(Clone, Debug, PartialEq)]
+pub struct WindowMotion {
+    /// Mean of each channel minus the value of the parabola at the centre.
+    pub bends: Vec<f64>,
+    /// Standard deviation of a bend of white noise of standard deviation 1.
+    pub bend_gain: f64,
+    /// Standard deviation of the samples about the parabola.
+    pub scatters: Vec<f64>,
+}
+
+impl WindowMotion {
+    /// Of samples with their weights in the mean. `None` where they are too few.
+    fn of(samples: &[(&Sample, f64)], means: &[f64], (from, to): (f64, f64)) -> Option<Self> {
+        let is_inside = |sample: &Sample| (from..=to).contains(&sample.t_us);
+        let inside: Vec<&Sample> =
+            samples.iter().map(|(sample, _)| *sample).filter(|sample| is_inside(sample)).collect();
+        if inside.len() < MIN_SAMPLES {
+            return None;
+        }
+        let terms = |sample: &Sample| {
+            let x = (sample.t_us - 0.5 * (from + to)) / (0.5 * (to - from));
+            Vector3::new(1.0, x, x * x)
+        };
+        let normal: Matrix3<f64> =
+            inside.iter().map(|sample| terms(sample) * terms(sample).transpose()).sum();
+        let inverse = normal.try_inverse()?;
+        // The value at the centre is the first coefficient.
+        let weight_at_centre = |sample: &Sample| match is_inside(sample) {
+            true => (inverse * terms(sample)).x,
+            false => 0.0,
+        };
+        let gain2 =
+            samples.iter().map(|(sample, weight)| (weight - weight_at_centre(sample)).powi(2));
+        let freedom = (inside.len() - 3) as f64;
+        let of_channel = |channel: usize| {
+            // Relative to the mean: a field is large next to its noise.
+            let value = |sample: &Sample| sample.values[channel] - means[channel];
+            let moments: Vector3<f64> =
+                inside.iter().map(|sample| terms(sample) * value(sample)).sum();
+            let parabola = inverse * moments;
+            let left = |sample: &&Sample| (value(sample) - parabola.dot(&terms(sample))).powi(2);
+            (-parabola.x, (inside.iter().map(left).sum::<f64>() / freedom).sqrt())
+        };
+        let (bends, scatters) = (0..means.len()).map(of_channel).unzip();
+        Some(Self { bends, bend_gain: gain2.sum::<f64>().sqrt(), scatters })
+    }
 }
 
 /// Result of averaging over a window.
@@ -94,16 +150,15 @@ impl Aligner {
             0.0 => before.values.clone(),
             _ => pairs.map(|(a, b)| a + fraction * (b - a)).collect(),
         };
-        Window::Ready(WindowMean { values, noise_gain: fraction.hypot(1.0 - fraction) })
+        let noise_gain = fraction.hypot(1.0 - fraction);
+        Window::Ready(WindowMean { values, noise_gain, motion: None })
     }
 
     fn average(&self, from: f64, to: f64) -> Window {
         let channels = self.samples.front().map_or(0, |sample| sample.values.len());
         let mut values = vec![0.0; channels];
-        let mut squares = 0.0;
-        // Weight of the shared sample from the previous segment.
-        let mut previous_weight = 0.0;
-        for (a, b) in self.samples.iter().zip(self.samples.iter().skip(1)) {
+        let mut weights = vec![0.0; self.samples.len()];
+        for (i, (a, b)) in self.samples.iter().zip(self.samples.iter().skip(1)).enumerate() {
             if a.t_us >= to {
                 break;
             }
@@ -118,11 +173,13 @@ impl Aligner {
             for (value, (&x, &y)) in values.iter_mut().zip(a.values.iter().zip(&b.values)) {
                 *value += weight_a * x + weight_b * y;
             }
-            squares += (previous_weight + weight_a).powi(2);
-            previous_weight = weight_b;
+            weights[i] += weight_a;
+            weights[i + 1] += weight_b;
         }
-        squares += previous_weight * previous_weight;
-        Window::Ready(WindowMean { values, noise_gain: squares.sqrt() })
+        let noise_gain = weights.iter().map(|weight| weight * weight).sum::<f64>().sqrt();
+        let weighted = self.samples.iter().zip(weights).filter(|(_, weight)| *weight > 0.0);
+        let motion = WindowMotion::of(&weighted.collect::<Vec<_>>(), &values, (from, to));
+        Window::Ready(WindowMean { values, noise_gain, motion })
     }
 }
 
@@ -157,6 +214,37 @@ mod tests {
             // sqrt(9 / 100 + 2 / 400)
             assert!((mean.noise_gain - 0.308_220_700_148_448_8).abs() < 1e-12);
         }
+    }
+
+    #[test]
+    fn a_bend_is_the_mean_minus_the_parabola_at_the_centre() {
+        // Samples at -5 to 5 ms of the centre. Interpolated linearly, the mean of x^2 over the window is 1/3 + 1/150.
+        let motion = |value: fn(f64) -> f64| {
+            let samples =
+                (0..30).map(|i| (f64::from(i) * 1000.0, value((f64::from(i) - 10.0) / 5.0)));
+            ready(aligner_with(samples).mean_around(10_000.0)).motion.unwrap()
+        };
+        for (value, bend) in [
+            ((|x| 900.0 + 7.0 * x) as fn(f64) -> f64, 0.0),
+            (|x| 900.0 - 3.0 * x + 2.0 * x * x, 2.0 * (1.0 / 3.0 + 1.0 / 150.0)),
+        ] {
+            let motion = motion(value);
+            assert!((motion.bends[0] - bend).abs() < 1e-9, "{motion:?}");
+            assert!(motion.scatters[0] < 1e-6, "{motion:?}");
+            // Weights of a parabola's centre over eleven rows (Savitzky and Golay 1964): (-36, 9, 44, 69, 84, 89, ...) / 429.
+            let centre = [-36.0, 9.0, 44.0, 69.0, 84.0, 89.0, 84.0, 69.0, 44.0, 9.0, -36.0];
+            let squares = centre.iter().enumerate().map(|(i, c)| {
+                let mean = if i == 0 || i == 10 { 0.05 } else { 0.1 };
+                (mean - c / 429.0_f64).powi(2)
+            });
+            assert!((motion.bend_gain - squares.sum::<f64>().sqrt()).abs() < 1e-12, "{motion:?}");
+        }
+    }
+
+    #[test]
+    fn few_samples_show_no_motion() {
+        let samples = (0..10).map(|i| (f64::from(i) * 2000.0, f64::from(i)));
+        assert_eq!(ready(aligner_with(samples).mean_around(10_000.0)).motion, None);
     }
 
     proptest! {

@@ -559,8 +559,8 @@ pub(super) struct ClockMonitor {
     pub(super) last_us: f64,
     /// Line of the last row in the file.
     pub(super) line: u64,
-    gaps: u64,
-    longest_us: f64,
+    pub(super) gaps: u64,
+    pub(super) longest_us: f64,
     /// Line of the row after the longest gap.
     longest_line: u64,
 }
@@ -619,6 +619,15 @@ const MAX_PERIOD_US: f64 = 3.6e9;
 /// The clock is not in microseconds, or the table has no rows.
 pub(super) fn period_us(table: &mut CsvTable, time_column: usize) -> Result<f64, DataError> {
     let period_us = table.median_period()?;
+    let times: Vec<f64> = table.buffered_times().collect();
+    let steps = times.windows(2).map(|pair| pair[1] - pair[0]);
+    let mean_us = steps.clone().sum::<f64>() / steps.len().max(1) as f64;
+    if period_us > 0.0 && period_us < MIN_PERIOD_US && mean_us >= MIN_PERIOD_US {
+        let longest_us = steps.fold(0.0, f64::max);
+        let packets =
+            ErrorKind::Packets { within_ms: 1e-3 * period_us, between_ms: 1e-3 * longest_us };
+        return Err(packets.at(table.cell_location(2, time_column)));
+    }
     if period_us > 0.0 && !(MIN_PERIOD_US..=MAX_PERIOD_US).contains(&period_us) {
         return Err(ErrorKind::ClockUnit { period_us }.at(table.cell_location(2, time_column)));
     }

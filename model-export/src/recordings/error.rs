@@ -244,12 +244,18 @@ pub enum ErrorKind {
     ClockBackwards { before: f64, after: f64 },
     #[error("the row is a duplicate of the previous one; remove it")]
     DuplicateRow,
-    #[error("two rows have the same time, {time}, and different values; remove the wrong one")]
+    #[error(
+        "two rows have the same time, {time}, and different values; remove the wrong one, or, where packets of rows have the time of their arrival, import them with the distance of the rows (row_s in a mapping)"
+    )]
     DuplicateTime { time: f64 },
     #[error(
         "the two clocks do not overlap: the board has {hall_from:.3} to {hall_to:.3} s, the reference {force_from:.3} to {force_to:.3} s; shift one clock (offset_s in a mapping, or t_us) so that both start from the same event"
     )]
     NoOverlap { hall_from: f64, hall_to: f64, force_from: f64, force_to: f64 },
+    #[error(
+        "the board's rows come in packets, {within_ms:.3} ms apart and then {between_ms:.3} ms: these are the times of their arrival, not of the samples; import them with the distance of the rows (row_s in a mapping)"
+    )]
+    Packets { within_ms: f64, between_ms: f64 },
     #[error(
         "all recordings of a campaign must be of one gripper: this one has {found} and {other} has {expected}; move it to a separate campaign"
     )]

@@ -78,6 +78,49 @@ const DENSE_ROWS: f64 = 20.0;
 /// Noise with the narrow window relative to that with the wide one, up to which it is better.
 const CLEARLY_LESS: f64 = 0.95;
 
+/// Bend of a window in standard errors from which its mean is not the value at its centre.
+const SIGNIFICANT_BEND: f64 = 5.0;
+/// Share of the rows with a bend, up to which they are left out. Of more, the load moves so everywhere.
+const MAX_BENT: f64 = 0.2;
+
+/// Bend of the field within the window of a row ([`WindowMotion`]), each axis.
+///
+/// [`WindowMotion`]: crate::recordings::align::WindowMotion
+#[derive(Clone, Copy, Debug)]
+struct Bend {
+    /// In multiples of the standard deviation of white noise of 1 G.
+    of_unit_noise: [f64; 3],
+    /// Scatter of the samples in gauss.
+    scatter_g: [f64; 3],
+}
+
+impl Bend {
+    fn of(layout: &ChannelLayout, sensor: u32, row: &AlignedRow) -> Option<Self> {
+        let (motion, channels) = (row.motion.as_ref()?, layout.field_channels(sensor)?);
+        Some(Self {
+            of_unit_noise: channels.map(|channel| motion.bends[channel] / motion.bend_gain),
+            scatter_g: channels.map(|channel| motion.scatters[channel]),
+        })
+    }
+
+    /// Rows with a significant bend: relative to the usual scatter, which knocks do not raise.
+    fn significant(rows: &[Option<Self>]) -> Vec<usize> {
+        let noise_g = [0, 1, 2].map(|axis| {
+            let scatters = rows.iter().flatten().map(|bend| bend.scatter_g[axis]);
+            let mut scatters: Vec<f64> = scatters.filter(|scatter| scatter.is_finite()).collect();
+            scatters.sort_by(f64::total_cmp);
+            scatters.get(scatters.len() / 2).copied().unwrap_or(0.0)
+        });
+        let is_bent = |bend: &Self| {
+            let mut axes = bend.of_unit_noise.iter().zip(noise_g);
+            axes.any(|(bend, noise_g)| noise_g > 0.0 && bend.abs() > SIGNIFICANT_BEND * noise_g)
+        };
+        let rows = rows.iter().enumerate();
+        rows.filter_map(|(row, bend)| bend.as_ref().filter(|bend| is_bent(bend)).map(|_| row))
+            .collect()
+    }
+}
+
 impl Recording {
     /// Reads the recording in `folder`. The rows of a slow reference may be means over its period or samples of a moment: the field is
     /// averaged over that of two windows which leaves less of it.
@@ -113,15 +156,20 @@ impl Recording {
         };
         let layout = stream.layout().clone();
         let mut squares = 0.0;
+        let mut bends: BTreeMap<u32, Vec<Option<Bend>>> = BTreeMap::new();
         while let Some(row) = stream.next_row()? {
             let values = 1 + row.hall.len() + row.forces.len();
             check_recording_values(recording.time_s.len(), values)
                 .map_err(|kind| kind.at(Location::file(folder)))?;
             squares += row.noise_gain * row.noise_gain;
             recording.push(&layout, &row);
+            for sensor in layout.sensors() {
+                bends.entry(sensor).or_default().push(Bend::of(&layout, sensor, &row));
+            }
         }
         recording.noise_gain = (squares / recording.time_s.len() as f64).sqrt();
         recording.finish(&layout, stream.summary());
+        recording.leave_out_bent(&bends);
         let repeats = repeated_settings::within(&mut recording);
         recording.noise = repeats.unwrap_or_else(|| NoiseEstimate::of(&mut recording));
         recording.noise.unit =
@@ -223,6 +271,32 @@ impl Recording {
             if let ForceColumn::Force { sensor, axis } = column {
                 self.forces.entry((*sensor, *axis)).or_default().newtons.push(value);
             }
+        }
+    }
+
+    /// Leaves out the rows in whose window the field moves in a curve.
+    fn leave_out_bent(&mut self, bends: &BTreeMap<u32, Vec<Option<Bend>>>) {
+        let mut most = 0;
+        for (number, sensor) in &mut self.sensors {
+            let rows = bends.get(number).map_or(&[][..], Vec::as_slice);
+            let bent = Bend::significant(rows);
+            if bent.len() as f64 > MAX_BENT * rows.len() as f64 {
+                continue;
+            }
+            most = most.max(bent.len());
+            for row in bent {
+                sensor.field_g[row] = [f64::NAN; 3];
+            }
+        }
+        if most > 0 {
+            self.notices.push(Notice {
+                location: Location::file(&self.folder),
+                message: format!(
+                    "up to {most} of {} rows of a sensor are left out: in the {:.0} ms around them its signal jumps or turns, so that its mean is not the value at the reference's instant",
+                    self.time_s.len(),
+                    2e3 * self.half_width_s
+                ),
+            });
         }
     }
 

@@ -4,7 +4,7 @@
 use std::path::Path;
 
 use crate::input::check_window_values;
-use crate::recordings::align::{Aligner, Alignment, Window};
+use crate::recordings::align::{Aligner, Alignment, Window, WindowMotion};
 use crate::recordings::columns::ChannelLayout;
 use crate::recordings::csv_table::{CsvRow, CsvTable, GAP_STEPS};
 use crate::recordings::description::RecordingDescription;
@@ -22,6 +22,8 @@ pub struct AlignedRow {
     pub forces: Vec<f64>,
     /// Ratio of the white noise after averaging to that of a single board row.
     pub noise_gain: f64,
+    /// How the board channels move within the window.
+    pub motion: Option<WindowMotion>,
 }
 
 /// Statistics of a stream after its last row.
@@ -133,6 +135,7 @@ impl AlignedStream {
                         hall: mean.values,
                         forces: self.force.forces(&row),
                         noise_gain: mean.noise_gain,
+                        motion: mean.motion,
                     }));
                 }
                 Window::Uncovered => self.uncovered += 1,
@@ -161,6 +164,14 @@ impl AlignedStream {
         }
         if self.aligned == 0 {
             let (hall, force) = (&self.hall.clock, &self.force.clock);
+            let overlap_us = hall.last_us.min(force.last_us) - hall.first_us.max(force.first_us);
+            if hall.gaps > 0 && overlap_us > self.half_width_us {
+                let packets = ErrorKind::Packets {
+                    within_ms: 1e-3 * self.hall.period_us,
+                    between_ms: 1e-3 * hall.longest_us,
+                };
+                return Err(packets.at(Location::file(self.hall.table.path()).column("t_us")));
+            }
             let kind = ErrorKind::NoOverlap {
                 hall_from: hall.first_us * 1e-6,
                 hall_to: hall.last_us * 1e-6,
