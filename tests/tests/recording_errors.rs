@@ -112,7 +112,7 @@ fn with_clock(table: &str, clock: impl Fn(u64) -> String) -> String {
 
 #[test]
 fn an_invalid_table_is_reported_with_its_place() {
-    let cases: [(Change, &str, &str); 11] = [
+    let cases: [(Change, &str, &str); 14] = [
         (
             |path, hall, _| {
                 write_hall(path, &hall.replacen("s0_y_lsb", "s0_y_gauss", 1));
@@ -181,12 +181,33 @@ fn an_invalid_table_is_reported_with_its_place() {
             "rec/force.csv, column t_us: the two clocks do not overlap: the board has 0.000 to 0.199 s, the reference 9.000 to 9.190 s",
             "",
         ),
+        (
+            |path, hall, _| write_hall(path, &with_clock(hall, |us| in_packets(us, 100))),
+            "rec/hall.csv, column t_us: the board's rows come in packets, 0.100 ms apart and then 7.300 ms",
+            "row_s in a mapping",
+        ),
+        (
+            |path, hall, _| write_hall(path, &with_clock(hall, |us| in_packets(us, 2))),
+            "rec/hall.csv, line 2, column t_us: the board's rows come in packets, 0.002 ms apart and then 7.986 ms",
+            "row_s in a mapping",
+        ),
+        (
+            |path, hall, _| write_hall(path, &with_clock(hall, |us| in_packets(us, 0))),
+            "rec/hall.csv, line 3, column t_us: two rows have the same time, 0, and different values",
+            "row_s in a mapping",
+        ),
     ];
     for (change, start, part) in cases {
         let message = error_of(|path, hall, force| change(path, &hall, &force));
         assert_starts(&message, start);
         assert_contains(&message, part);
     }
+}
+
+/// The time of arrival of a row in a packet of eight.
+fn in_packets(us: u64, step_us: u64) -> String {
+    let row = us / 1000;
+    (8000 * (row / 8) + step_us * (row % 8)).to_string()
 }
 
 #[test]
