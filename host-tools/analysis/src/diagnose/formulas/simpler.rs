@@ -21,12 +21,15 @@ use crate::diagnose::selection::{FittedModel, Selection};
 const ROWS: usize = 150;
 
 /// What a covariate `c` may do: target and factor next to the coefficient of each formula.
-const CAUSES: [&[(&str, &str)]; 9] = [
+const CAUSES: [&[(&str, &str)]; 11] = [
     &[("dx_um", "")],
     &[("dy_um", "")],
     &[("dz_um", "")],
     &[("fx_n", "")],
     &[("fz_n", "")],
+    // A load cell's zeros, and a support that expands.
+    &[("fx_n", ""), ("fz_n", "")],
+    &[("dx_um", ""), ("dy_um", ""), ("dz_um", "")],
     &[("dx_um", "fx_n*")],
     &[("dz_um", "fz_n*")],
     &[("dx_um", "fx_n*"), ("dz_um", "fz_n*")],
