@@ -30,7 +30,7 @@ pub use crate::diagnose::formulas::DiscoveredFormula;
 use crate::diagnose::formulas::simpler::{SimplerFormula, simpler_formulas};
 use crate::diagnose::formulas::{discover, equivalent_formulas};
 use crate::diagnose::forward_selection::{
-    eliminate_undetermined, forward_selection, reconsider_shadows,
+    eliminate_undetermined, forward_selection, reconsider_shadows, tie_delays,
 };
 use crate::diagnose::observer::Observer;
 use crate::diagnose::recording_differences::Differences;
@@ -499,7 +499,7 @@ pub fn diagnose(
             observer.stage("comparing recordings", DIFFERENCES);
             // All recordings, of many with a sample of the rows of each.
             let all = setup.sampled(SEARCH_ROWS);
-            let found = recording_differences::find(campaign, model, &all, fitted);
+            let found = recording_differences::find(campaign, model, (&all, fitted), options);
             let Some((found, corrected)) = found else { return false };
             differences = Some(found);
             *campaign = Cow::Owned(corrected);
@@ -541,6 +541,9 @@ pub fn diagnose(
         selection.refit(&prepared, options)?;
     }
     eliminate_undetermined(&prepared, &mut selection, formulas.len(), options)?;
+    if !observer.is_stopped() {
+        tie_delays(&prepared, &mut selection, options)?;
+    }
     selection.confirm(&mut formulas);
     let mut forces = Vec::new();
     if !observer.is_stopped() {

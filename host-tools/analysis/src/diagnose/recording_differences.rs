@@ -38,12 +38,13 @@ pub struct Differences {
 }
 
 /// Differences of a campaign's recordings that no effect of the catalogue missing from `fitted` makes, and the campaign without those
-/// of a zero; `None` where there are none. `setup` is a sample of its rows, `model` the file with the base of `fitted`.
+/// of a zero; `None` where there are none, or where the model does not fit the campaign better without them. `setup` is a sample of
+/// its rows, `model` the file with the base of `fitted`.
 pub fn find(
     campaign: &Campaign,
     model: &ModelFile,
-    setup: &FitSetup,
-    fitted: &FittedModel,
+    (setup, fitted): (&FitSetup, &FittedModel),
+    options: FitOptions,
 ) -> Option<(Differences, Campaign)> {
     let values: Vec<Vec<f64>> =
         fitted.fit.sensors.iter().map(|sensor| sensor.values.clone()).collect();
@@ -62,6 +63,16 @@ pub fn find(
     let offsets = offsets(&found, setup, campaign.recordings.len());
     let mut corrected = campaign.clone();
     corrected.recordings.iter_mut().zip(&offsets).for_each(|(one, of)| correct(one, of));
+    if offsets.iter().any(|of_recording| !of_recording.is_empty()) {
+        let without = model.fit_setup(&corrected, options).ok()?.sampled(SEARCH_ROWS);
+        let error = |setup: &FitSetup| {
+            let fit = FittedModel::without_validation(setup, fitted.effects.clone(), options);
+            fit.ok().map(|fit| fit.fitted_mean_square())
+        };
+        if error(&without)? >= error(setup)? {
+            return None;
+        }
+    }
     let findings = found.iter().map(|one| finding(campaign, one)).collect();
     Some((Differences { findings, offsets }, corrected))
 }
@@ -76,7 +87,7 @@ pub fn next_to(
     let setup = model.fit_setup(campaign, options).map(|setup| setup.sampled(SEARCH_ROWS));
     let found = setup.ok().and_then(|setup| {
         let fitted = FittedModel::without_validation(&setup, effects, options).ok()?;
-        find(campaign, model, &setup, &fitted)
+        find(campaign, model, (&setup, &fitted), options)
     });
     found.map_or_else(Vec::new, |(found, _)| found.findings)
 }
