@@ -370,6 +370,19 @@ impl<'a> ScoreTest<'a> {
         sum
     }
 
+    /// Explained sum of squares of two candidates together, in units of the noise variance, over all sensors.
+    pub fn explained_together(&self, one: &CandidateScore, other: &CandidateScore) -> f64 {
+        let of_sensor = |(s, sensor): (usize, &SensorScore)| {
+            let (one, other) = (&one.orthogonal[s], &other.orthogonal[s]);
+            let mut both = one.clone().resize_horizontally(one.ncols() + other.ncols(), 0.0);
+            both.columns_mut(one.ncols(), other.ncols()).copy_from(other);
+            let normal = gram(&columns(&both, 0..both.nrows()));
+            let score = both.tr_mul(&sensor.residual);
+            score.dot(&(inverse(normal, sensor.prior) * &score))
+        };
+        self.sensors.iter().enumerate().map(of_sensor).sum()
+    }
+
     /// Explained sum of squares of the residual after removing `best`, for each draw of signs.
     pub fn resampled(
         &self,

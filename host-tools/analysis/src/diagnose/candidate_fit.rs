@@ -10,6 +10,7 @@ use anyhow::Result;
 use model_export::effects::EffectTerm;
 use model_export::fit::FitOptions;
 use model_export::fit::campaign::FitSetup;
+use model_export::fit::score_test::ScoreTest;
 use rayon::prelude::*;
 use std::borrow::Cow;
 
@@ -19,7 +20,9 @@ const MAX_FITTED: usize = 5;
 const MAX_UNDETERMINED: usize = 3;
 /// Maximum number of candidates that are fitted in pairs.
 const MAX_IN_PAIRS: usize = 7;
-/// Rows of each recording on which all pairs are fitted.
+/// Pairs that are fitted at all, the best by the linearised score test.
+const PAIRS_FITTED: usize = 8;
+/// Rows of each recording on which they are fitted first.
 const PAIR_ROWS: usize = 150;
 /// The best of them, which are fitted to the rows of the selection.
 const PAIRS_ON_SAMPLE: usize = 4;
@@ -132,11 +135,18 @@ pub fn best_pair<'s>(
     // The held-out error of one alone says little here: by what they explain of the fitted rows.
     contenders.sort_by(|a, b| b.evidence.explained.total_cmp(&a.evidence.explained));
     contenders.truncate(MAX_IN_PAIRS);
-    let pairs: Vec<[&'s ScreenedEffect; 2]> = contenders
+    let around = ScoreTest::new(prepared, &stage.effects, &stage.fit, selection.block_s);
+    let mut pairs: Vec<(f64, [&'s ScreenedEffect; 2])> = contenders
         .iter()
         .enumerate()
         .flat_map(|(i, one)| contenders[i + 1..].iter().map(move |other| [*one, *other]))
+        .map(|pair| {
+            let [one, other] = pair;
+            (around.explained_together(&one.evidence, &other.evidence), pair)
+        })
         .collect();
+    pairs.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let pairs = pairs.into_iter().take(PAIRS_FITTED).map(|(_, pair)| pair).collect();
     let with = |added: &[&ScreenedEffect]| -> Vec<EffectTerm> {
         let added = added.iter().map(|screened| screened.candidate.clone());
         stage.effects.iter().cloned().chain(added).collect()
