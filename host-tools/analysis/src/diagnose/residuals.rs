@@ -79,7 +79,9 @@ pub fn attributed_covariates(columns: &[ResidualTable], block_s: f64) -> Vec<(Co
         return Vec::new();
     };
     let chosen = ranked.into_iter().filter(|found| found.chosen);
-    chosen.map(|found| (first.covariates[found.covariate].of.clone(), found.share)).collect()
+    // An estimate of a share by held-out errors may exceed all of it.
+    let share = |share: f64| share.min(1.0);
+    chosen.map(|one| (first.covariates[one.covariate].of.clone(), share(one.share))).collect()
 }
 
 /// One step of the selection over one covariate.

@@ -185,7 +185,7 @@ impl Span {
 }
 
 /// All functions of a covariate; those of [`TURN`] are its `harmonics`, and [`USUAL`] are multiplied with other covariates.
-pub fn atoms_of(covariate: &str, span: Span, harmonics: &[u32]) -> Vec<Atom> {
+pub fn atoms_of(covariate: &str, span: Span, harmonics: &[u32], longest_s: f64) -> Vec<Atom> {
     if covariate == TURN {
         let mut atoms = angle_atoms(covariate, &USUAL, true);
         let further = harmonics.iter().copied().filter(|one| !USUAL.contains(one));
@@ -261,8 +261,9 @@ pub fn atoms_of(covariate: &str, span: Span, harmonics: &[u32]) -> Vec<Atom> {
         }
     }
     if LAGGED.contains(&covariate) {
-        for tau in TIME_CONSTANTS {
-            let bounds = [(tau, 0.5 * tau, 2.0 * tau)];
+        // A longer time constant is not seen within a recording.
+        for tau in TIME_CONSTANTS.into_iter().filter(|tau| *tau < longest_s) {
+            let bounds = [(tau, 0.5 * tau, (2.0 * tau).min(longest_s))];
             atoms.push(atom("lag(x, p)", 1.7).with(&bounds));
             atoms.push(atom("(x-lag(x, p))", 1.7).with(&bounds));
         }
@@ -341,7 +342,8 @@ mod tests {
 
     /// All functions of a covariate over its own range.
     fn atoms(covariate: &str) -> Vec<Atom> {
-        atoms_of(covariate, Span::of(opening().covariate(covariate).unwrap()).unwrap(), &USUAL)
+        let values = opening().covariate(covariate).unwrap();
+        atoms_of(covariate, Span::of(values).unwrap(), &USUAL, 100.0)
     }
 
     #[test]

@@ -48,12 +48,17 @@ impl Dictionary {
         harmonics: &[u32],
         windows: &[Vec<Windows>],
     ) -> Self {
+        let tracks = setup.rows.iter().flat_map(|rows| rows.parts.iter().map(|part| &part.track));
+        let durations = tracks.filter_map(|track| {
+            Some(track.time_s.last().copied()? - track.time_s.first().copied()?)
+        });
+        let longest_s = durations.fold(0.0, f64::max);
         let mut atoms: Vec<Atom> = covariates
             .iter()
             .filter_map(|covariate| {
                 let all = (0..setup.rows.len()).flat_map(|sensor| excitations(setup, sensor));
                 let values = all.filter_map(|series| series.covariate(covariate)).flatten();
-                Some(atoms_of(covariate, Span::of(values.collect())?, harmonics))
+                Some(atoms_of(covariate, Span::of(values.collect())?, harmonics, longest_s))
             })
             .flatten()
             .collect();
