@@ -763,10 +763,17 @@ fn verdict_on_effects(diagnosis: &Diagnosis) -> String {
             tied => Some(format!("one of {}", tied.join(", "))),
         })
         .collect();
+    let is_named = |name: &String| diagnosis.staircase.iter().any(|step| step.added.contains(name));
+    let others = diagnosis.equivalent_formulas.iter().map(|formula| &formula.name);
+    let others: Vec<&str> = others.filter(|name| !is_named(name)).map(String::as_str).collect();
+    let instead = match others.as_slice() {
+        [] => String::new(),
+        others => format!(", or {} instead", others.join(" with ")),
+    };
     let missing = match (steps.is_empty(), diagnosis.is_complete) {
         (true, _) => "No missing effect was found".to_owned(),
-        (false, true) => format!("Missing: {}", steps.join("; ")),
-        (false, false) => format!("Provisionally missing: {}", steps.join("; ")),
+        (false, true) => format!("Missing: {}{instead}", steps.join("; ")),
+        (false, false) => format!("Provisionally missing: {}{instead}", steps.join("; ")),
     };
     if floors < BELOW_FLOOR {
         return format!(
