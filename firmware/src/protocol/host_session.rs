@@ -61,6 +61,8 @@ impl HostSession {
             return Vec::new();
         }
         match reply.status {
+            // Nobody asked for a challenge in an open session: its codes stay.
+            status::CHALLENGE | status::REFUSED if self.is_open() => Vec::new(),
             status::CHALLENGE | status::REFUSED => {
                 self.answered = Some(challenge);
                 self.mac = Some(SessionMac::new(&self.key, self.node, challenge));
@@ -156,6 +158,21 @@ mod tests {
             assert_eq!(host.end()[..], sealed(3, service(op::END, 0)));
             assert!(!host.is_open() && host.seal(command).is_none());
             assert!(host.end().is_empty());
+        }
+    }
+
+    /// Replies of the gripper have no code: anybody can send one.
+    #[test]
+    fn a_challenge_in_an_open_session_changes_nothing() {
+        for status in [status::CHALLENGE, status::REFUSED] {
+            let mut host = HostSession::new(DEFAULT_NODE, KEY);
+            host.open(op::ARM);
+            host.receive(&reply(op::ARM, status::CHALLENGE, 5));
+            host.receive(&reply(op::ARM, status::DONE, 0));
+            let mut undisturbed = host.clone();
+            assert!(host.receive(&reply(op::ARM, status, 6)).is_empty());
+            let command = Message::Command(Command::default());
+            assert_eq!(host.seal(command), undisturbed.seal(command));
         }
     }
 
