@@ -189,7 +189,8 @@ impl Recorder {
         self.last_us
     }
 
-    /// Writes what is buffered; call it also while no rows arrive. Messages of less than a second stay in the chunk of the MCAP file.
+    /// Writes what is buffered; call it also while no rows arrive. Messages of less than a second stay in the chunk of the MCAP file,
+    /// except the first ones.
     ///
     /// # Errors
     /// Writing failed.
@@ -292,6 +293,10 @@ impl Recorder {
         self.covariates = covariates;
         for row in std::mem::take(&mut self.waiting) {
             self.write(&row)?;
+        }
+        if let Some(mcap) = &mut self.mcap {
+            // The file appears, as the folder does: a killed process leaves nothing, or rows.
+            mcap.flush()?;
         }
         self.flush()?;
         draft.commit(&self.target)?;
