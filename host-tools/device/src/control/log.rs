@@ -34,6 +34,7 @@ pub struct CommandLog {
     knows_stranger: bool,
     line_s: f64,
     point_s: f64,
+    /// Kept for the JSON object at the end only: a hold lasts hours.
     points: Vec<Value>,
     states: Vec<Value>,
     /// All faults of the session in JSON, by their first time.
@@ -99,7 +100,9 @@ impl CommandLog {
             self.point_s = now_s;
             if let Some(point) = point(client, now_s) {
                 self.event("point", &point);
-                self.points.push(point);
+                if matches!(self.lines, Some((_, LineFormat::None))) {
+                    self.points.push(point);
+                }
             }
         }
     }
