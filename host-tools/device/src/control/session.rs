@@ -1,8 +1,8 @@
 //! Steps of a session: connect, clear faults, arm, enable, home, command, hold.
 
-use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::sync::atomic::Ordering::Relaxed;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use anyhow::{Error, Result};
 use firmware::grip::commands::{flag, mode};
@@ -60,9 +60,24 @@ pub struct Session {
     /// An object of another host is left as it is.
     pub(super) is_left_gripped: bool,
     is_reached: bool,
+    /// For who waits in another thread.
+    view: Arc<Mutex<View>>,
     has_moved: bool,
     has_touched: bool,
     has_slipped: bool,
+}
+
+/// What a session sees, for other threads.
+#[derive(Clone, Debug, Default, serde::Serialize)]
+pub struct View {
+    /// State, force and opening.
+    #[serde(flatten)]
+    pub measured: Measured,
+    /// Active faults.
+    pub faults: Vec<String>,
+    /// The set-point was reached.
+    #[serde(skip)]
+    pub is_reached: bool,
 }
 
 /// How a session ended.
@@ -115,9 +130,33 @@ impl Session {
             owns_foot: false,
             is_left_gripped: false,
             is_reached: false,
+            view: Arc::default(),
             has_moved: false,
             has_touched: false,
             has_slipped: false,
+        }
+    }
+
+    /// What the session sees, from now on.
+    pub fn view(&self) -> Arc<Mutex<View>> {
+        self.view.clone()
+    }
+
+    /// State, force, opening and faults of the gripper, to which nothing is sent.
+    ///
+    /// # Errors
+    /// The connection is lost.
+    pub fn observe(mut self) -> Result<View> {
+        self.connect()?;
+        self.wait(CONNECT_S, |session| session.client.state.grip.is_some())?;
+        Ok(self.present())
+    }
+
+    fn present(&self) -> View {
+        View {
+            measured: Measured::of(&self.client),
+            faults: self.client.state.faults.iter().map(format::fault_line).collect(),
+            is_reached: self.is_reached,
         }
     }
 
@@ -536,6 +575,7 @@ impl Session {
             }
             self.client.poll()?;
             self.log.update(&self.client);
+            *self.view.lock().unwrap_or_else(PoisonError::into_inner) = self.present();
             check_protocol(&self.client.state)?;
             self.check()?;
         }
