@@ -46,6 +46,14 @@ pub fn write_output<'a>(
 /// # Errors
 /// Something has this path, also if it was created in the meantime; or the file system refuses.
 pub fn write_new(path: &Path, bytes: &[u8]) -> Result<(), DataError> {
+    begin_new(path, bytes).map(drop)
+}
+
+/// As [`write_new`], for a file that is continued: it appears with `bytes`.
+///
+/// # Errors
+/// As [`write_new`].
+pub fn begin_new(path: &Path, bytes: &[u8]) -> Result<File, DataError> {
     write_new_with(path, bytes, SHARED)
 }
 
@@ -54,21 +62,20 @@ pub fn write_new(path: &Path, bytes: &[u8]) -> Result<(), DataError> {
 /// # Errors
 /// As [`write_new`].
 pub fn write_private(path: &Path, bytes: &[u8]) -> Result<(), DataError> {
-    write_new_with(path, bytes, PRIVATE)
+    write_new_with(path, bytes, PRIVATE).map(drop)
 }
 
 /// Permissions on Unix, reduced by the user's mask.
 const SHARED: u32 = 0o666;
 const PRIVATE: u32 = 0o600;
 
-fn write_new_with(path: &Path, bytes: &[u8], mode: u32) -> Result<(), DataError> {
+fn write_new_with(path: &Path, bytes: &[u8], mode: u32) -> Result<File, DataError> {
     check_absent(path)?;
     let draft = draft_file(path, path, bytes, mode)?;
     draft.persist_noclobber(path).map_err(|error| match error.error.kind() {
         std::io::ErrorKind::AlreadyExists => ErrorKind::PathExists.at(Location::file(path)),
         _ => unwritable(path, error.error),
-    })?;
-    Ok(())
+    })
 }
 
 /// A temporary file with this content in the folder of `target`; errors name `path`.
@@ -247,7 +254,8 @@ pub fn check_absent(target: &Path) -> Result<(), DataError> {
     }
 }
 
-fn folder_of(path: &Path) -> &Path {
+/// Folder of a file.
+pub fn folder_of(path: &Path) -> &Path {
     match path.parent() {
         Some(folder) if !folder.as_os_str().is_empty() => folder,
         _ => Path::new("."),

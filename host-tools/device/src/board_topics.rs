@@ -73,6 +73,11 @@ impl BoardTopics<McapWriter> {
         Ok(self.topics.flush_due()?)
     }
 
+    /// Writes the messages so far to the file.
+    pub fn flush(&mut self) -> Result<()> {
+        Ok(self.topics.flush()?)
+    }
+
     /// Completes the file.
     pub fn finish(self) -> Result<()> {
         Ok(self.topics.finish()?)

@@ -149,7 +149,7 @@ fn is_machine(name: &str, is_own: impl Fn(IpAddr) -> bool) -> bool {
 async fn connect(
     State(live): State<Arc<Live>>,
     Extension(OwnAddress(own)): Extension<OwnAddress>,
-    Extension(place): Extension<Place>,
+    Extension(place): Extension<Arc<Place>>,
     mut request: Request,
 ) -> Response {
     if !live.admits(request.headers(), own) {
@@ -172,6 +172,7 @@ async fn connect(
             "This is a WebSocket server with the protocol foxglove.sdk.v1: open its address in Foxglove.\n",
         );
     };
+    place.admit();
     let protocol = HeaderValue::from_static(PROTOCOL);
     response.headers_mut().insert(header::SEC_WEBSOCKET_PROTOCOL, protocol);
     tokio::spawn(async move {

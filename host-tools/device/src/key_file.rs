@@ -8,6 +8,8 @@ use firmware::protocol::authentication::{KEY_BYTES, Key};
 use model_export::input;
 use model_export::output::write_private;
 
+use crate::session::Credentials;
+
 /// Environment variable with the path of the file.
 pub const VARIABLE: &str = "MAGPIE_KEY_FILE";
 
@@ -18,6 +20,15 @@ pub fn default_path() -> Option<PathBuf> {
         let config = folder("XDG_CONFIG_HOME").or_else(|| Some(folder("HOME")?.join(".config")))?;
         Some(config.join("magpie").join("key")).filter(|path| path.exists())
     })
+}
+
+/// Node number and key of a gripper, for a session: the key of this file, else of [`default_path`], else none.
+///
+/// # Errors
+/// As [`read`].
+pub fn credentials(node: u16, path: Option<PathBuf>) -> Result<Credentials> {
+    let key = path.or_else(default_path).map_or(Ok(Key::NONE), |path| read(&path))?;
+    Ok(Credentials { node, key })
 }
 
 /// Reads a key.

@@ -26,6 +26,9 @@ const REQUESTS: Duration = Duration::from_millis(TAKEOVER_MS + 2000);
 /// Silence after which an owner renews its session: before another host can take it over.
 const RENEWAL: Duration = Duration::from_millis(TAKEOVER_MS / 2);
 
+/// Five heartbeats in seconds; for an emulated gripper at half of its speed, more than two.
+const CERTAIN_S: f64 = 0.5;
+
 /// What a host needs for a session with a gripper.
 #[derive(Clone, Copy, Debug)]
 pub struct Credentials {
@@ -166,6 +169,8 @@ pub struct Client {
     pub refused: Option<Refusal>,
     /// Heartbeats since [`Self::command`].
     pub beats: u32,
+    /// State code that all heartbeats have had since this time.
+    said: Option<(u8, f64)>,
 }
 
 impl Client {
@@ -182,6 +187,7 @@ impl Client {
             not_armed: None,
             refused: None,
             beats: 0,
+            said: None,
         }
     }
 
@@ -193,6 +199,11 @@ impl Client {
     /// Seconds since the start.
     pub fn elapsed_s(&self) -> f64 {
         self.begun.elapsed().as_secs_f64()
+    }
+
+    /// Whether all heartbeats have had the present state for so long that the gripper's own would have contradicted a stranger's.
+    pub fn is_certain(&self) -> bool {
+        self.said.is_some_and(|(_, since_s)| self.elapsed_s() >= since_s + CERTAIN_S)
     }
 
     /// Requests a session with motion.
@@ -277,8 +288,13 @@ impl Client {
                 Packet::Message { message: Message::ServiceReply(reply), .. } => {
                     self.reply(reply)?
                 }
-                Packet::Message { message: Message::Heartbeat(_), .. } => {
+                Packet::Message { message: Message::Heartbeat(beat), .. }
+                    if beat.protocol_major == PROTOCOL_VERSION.0 =>
+                {
                     self.beats = self.beats.saturating_add(1);
+                    if self.said.is_none_or(|(state, _)| state != beat.state) {
+                        self.said = Some((beat.state, now_s));
+                    }
                 }
                 _ => {}
             }

@@ -7,7 +7,8 @@ in seconds, unless a name ends in another unit. Errors of input are `MagpieError
 
 from magpie._device import Device, Estimates
 from magpie._effects import Effect, EffectFit, fit_effect
-from magpie._magpie import MagpieError, __version__
+from magpie._gripper import Gripper, GripperState
+from magpie._magpie import GripperError, MagpieError, __version__
 from magpie._results import (
     Comparison,
     Diagnosis,
@@ -51,6 +52,9 @@ __all__ = [
     "Estimates",
     "Fit",
     "ForceError",
+    "Gripper",
+    "GripperError",
+    "GripperState",
     "MagpieError",
     "Model",
     "Network",

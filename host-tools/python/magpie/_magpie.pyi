@@ -16,6 +16,13 @@ class MagpieError(ValueError):
     column: str | None
     notes: list[str]
 
+class GripperError(RuntimeError):
+    """A gripper that did not do what it was told, with code and status of the result, and the result as JSON."""
+
+    code: str
+    status: int
+    data: str
+
 Range = tuple[str, float, float]
 Arrays = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
@@ -25,6 +32,24 @@ class Device:
     def reset(self) -> None: ...
     def rows(self, columns: dict[str, np.ndarray]) -> Arrays: ...
     def recording(self, folder: Path, delay_ms: float) -> Arrays: ...
+
+class Gripper:
+    def __init__(self, port: str | None, can: str | None, node: int | None, key: Path | None) -> None: ...
+    def status(self) -> str: ...
+    def grasp(
+        self,
+        force_n: float | None,
+        position_mm: float | None,
+        profile: str | None,
+        speed_mm_s: float | None,
+        width: tuple[float, float] | None,
+        home: bool,
+        clear_faults: bool,
+        uncalibrated: bool,
+    ) -> str: ...
+    def release(self, opening_mm: float | None) -> str: ...
+    def stop(self) -> str: ...
+    def close(self) -> str: ...
 
 def campaign(folder: Path, delay_ms: float) -> str: ...
 def fit(campaign: Path, output: Path, base: str, degree: int | None, delay_ms: float, seed: int) -> str: ...

@@ -5,7 +5,7 @@ use std::sync::mpsc::{self, RecvTimeoutError};
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
-use anyhow::Result;
+use anyhow::{Error, Result};
 use pyo3::prelude::*;
 
 use crate::to_python;
@@ -20,13 +20,22 @@ pub fn run<T: Send>(
     work: impl FnOnce(&AtomicBool) -> Result<T> + Send,
 ) -> PyResult<T> {
     let stop = AtomicBool::new(false);
+    run_with(py, &stop, to_python, || work(&stop))
+}
+
+/// As [`run`], with this flag, and the exception that `raised` makes of an error.
+pub fn run_with<T: Send>(
+    py: Python<'_>,
+    stop: &AtomicBool,
+    raised: fn(Python<'_>, Error) -> PyErr,
+    work: impl FnOnce() -> Result<T> + Send,
+) -> PyResult<T> {
     py.detach(|| {
         let (running, ended) = mpsc::channel::<()>();
         std::thread::scope(|scope| {
-            let stop = &stop;
             let worker = scope.spawn(move || {
                 let _running = running;
-                work(stop)
+                work()
             });
             let mut interrupt = None;
             while ended.recv_timeout(POLL) == Err(RecvTimeoutError::Timeout) {
@@ -36,7 +45,7 @@ pub fn run<T: Send>(
                 }
             }
             let result = worker.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
-            let raise = |error| Python::attach(|py| to_python(py, error));
+            let raise = |error| Python::attach(|py| raised(py, error));
             interrupt.map_or_else(|| result.map_err(raise), Err)
         })
     })

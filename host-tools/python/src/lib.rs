@@ -4,6 +4,7 @@
 
 mod calibration;
 mod device;
+mod gripper;
 mod interrupt;
 
 use std::path::PathBuf;
@@ -27,7 +28,7 @@ create_exception!(
 );
 
 /// Texts of the commands, with options, and the same with arguments of the functions; longer ones first.
-const ARGUMENTS: [(&str, &str); 16] = [
+const ARGUMENTS: [(&str, &str); 26] = [
     (
         "add it to recording.toml or to the mapping of the import",
         "give design= to Campaign.from_arrays or Campaign.from_files, or add it to recording.toml or to the mapping of the import",
@@ -47,6 +48,16 @@ const ARGUMENTS: [(&str, &str); 16] = [
     ("--rate", "rate"),
     ("--zero-weight", "zero_weight"),
     ("without --resume", "with another checkpoint"),
+    ("--clear-faults", "clear_faults=True"),
+    ("--force", "force_n"),
+    ("--home", "home=True"),
+    ("--key FILE", "key="),
+    ("--position", "position_mm"),
+    ("--profile", "profile"),
+    ("--release", "opening_mm"),
+    ("--speed", "speed_mm_s"),
+    ("--uncalibrated", "uncalibrated=True"),
+    ("--width", "width"),
 ];
 
 /// An error's text with arguments in place of options, except in commands (`` `cargo ...` ``).
@@ -107,5 +118,7 @@ fn _magpie(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("MagpieError", MagpieError::type_object(module.py()))?;
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     module.add_class::<device::Device>()?;
+    module.add("GripperError", gripper::GripperError::type_object(module.py()))?;
+    module.add_class::<gripper::Gripper>()?;
     calibration::register(module)
 }

@@ -7,7 +7,6 @@ use std::sync::atomic::AtomicBool;
 
 use anyhow::{Context, Result};
 use firmware::protocol::DEFAULT_NODE;
-use firmware::protocol::authentication::Key;
 use model_export::fit::FitOptions;
 use model_export::inverse::build::{DeviceModel, ModelVariant, build};
 use model_export::model_file::{BaseKind, ModelFile, Provenance};
@@ -20,11 +19,8 @@ use analysis::compare::campaign_reader::read_campaign;
 use analysis::fit::fit_campaign;
 use device::key_file;
 use device::reference::{ReferenceMapping, ReferenceSource};
-use device::serial_port::SerialLine;
 use device::session::{Credentials, SessionSource, with_session};
-use device::socket_can::CanBus;
-use device::socketcand::client::RemoteBus;
-use device::source::Source;
+use device::source::{self, Source};
 use device::virtual_board::Unplug;
 use device::virtual_board::world::SensorInput;
 use device_run::networks::NetworkSet;
@@ -91,14 +87,7 @@ pub struct PortArgs {
 impl PortArgs {
     /// Opens the connection; `None` if neither port nor bus is given.
     pub fn open(&self) -> Result<Option<Box<dyn Source + Send>>> {
-        Ok(match (&self.port, &self.can) {
-            (Some(port), _) => Some(Box::new(SerialLine::open(port)?)),
-            (None, Some(bus)) if bus.contains(':') => {
-                Some(Box::new(RemoteBus::open(bus, self.node)?))
-            }
-            (None, Some(interface)) => Some(Box::new(CanBus::open(interface, self.node)?)),
-            (None, None) => None,
-        })
+        source::open(self.port.as_deref(), self.can.as_deref(), self.node)
     }
 
     /// Opens the connection.
@@ -159,9 +148,7 @@ impl PortArgs {
 
     /// Node number and key, for a session.
     pub fn credentials(&self) -> Result<Credentials> {
-        let path = self.key.clone().or_else(key_file::default_path);
-        let key = path.map_or(Ok(Key::NONE), |path| key_file::read(&path))?;
-        Ok(Credentials { node: self.node, key })
+        key_file::credentials(self.node, self.key.clone())
     }
 }
 

@@ -24,12 +24,14 @@ mod unix {
     use std::io::{BufRead, BufReader, Read, Write};
     use std::net::TcpStream;
     use std::num::NonZeroUsize;
-    use std::process::ExitCode;
+    use std::process::{ExitCode, Stdio};
+    use std::sync::Arc;
     use std::sync::atomic::{AtomicBool, Ordering};
     use std::time::Duration;
 
     use firmware::config::constants;
-    use firmware::grip::states::PowerState;
+    use firmware::grip::commands::{CommandRefusal, RefusalReason, mode};
+    use firmware::grip::states::{PowerState, TaskState, state_code};
     use firmware::protocol::messages::{Heartbeat, Message};
     use firmware::protocol::{DEFAULT_NODE, PROTOCOL_VERSION, frame_id};
     use firmware::system::faults::Fault;
@@ -276,25 +278,58 @@ mod unix {
         emulation.allow_delays(&dir);
         let mut stranger = TcpStream::connect(&emulation.can)?;
         stranger.write_all(b"< open can0 >")?;
-        // Heartbeats of the gripper's number: of another version, and of a fault.
+        // Messages of the gripper's number: heartbeats of another version and of a fault, and, once it holds, between all of the
+        // gripper's own, those of other states and refusals of the command.
+        let holds = Arc::new(AtomicBool::new(false));
+        let is_held = holds.clone();
         std::thread::spawn(move || {
             let own = PROTOCOL_VERSION.0;
-            for (protocol_major, state) in
-                [(own + 1, PowerState::Safe), (own, PowerState::Fault)].repeat(50)
-            {
-                let beat = Heartbeat { protocol_major, state: state as u8, ..Heartbeat::default() };
-                let bytes = Message::Heartbeat(beat).to_bytes().map(|byte| format!("{byte:02X} "));
-                let id = frame_id(DEFAULT_NODE, Heartbeat::LAYOUT.number);
+            let beat = |protocol_major, state: u8| {
+                Message::Heartbeat(Heartbeat { protocol_major, state, ..Heartbeat::default() })
+            };
+            let of_task = |task| state_code(PowerState::Enabled, task);
+            let refusal = CommandRefusal {
+                mode: mode::GRIP,
+                reason: RefusalReason::Gripping,
+                state: of_task(TaskState::HoldActive),
+            };
+            let forged = [
+                beat(own + 1, PowerState::Safe as u8),
+                beat(own, PowerState::Fault as u8),
+                beat(own, of_task(TaskState::NoObject)),
+                beat(own, of_task(TaskState::Lost)),
+                Message::ServiceReply(refusal.reply()),
+            ];
+            for (number, message) in forged.into_iter().enumerate().cycle() {
+                let holds = is_held.load(Ordering::Relaxed);
+                if number > 1 && !holds {
+                    continue;
+                }
+                let [count, pause_ms] = if holds { [2, 70] } else { [1, 700] };
+                let bytes = message.to_bytes().map(|byte| format!("{byte:02X} "));
+                let id = frame_id(DEFAULT_NODE, message.number());
                 let frame = format!("< send {id:03X} 8 {}>", bytes.concat());
-                if stranger.write_all(frame.as_bytes()).is_err() {
+                if stranger.write_all(frame.repeat(count).as_bytes()).is_err() {
                     return;
                 }
-                std::thread::sleep(Duration::from_millis(700));
+                std::thread::sleep(Duration::from_millis(pause_ms as u64));
             }
         });
-        let line = format!("grasp --can {} --home --force 60 --seconds 2 --json", emulation.can);
-        let outcome = dir.json(&line);
-        assert_eq!(outcome["reached"], true, "{outcome}");
+        let line =
+            format!("grasp --can {} --home --force 60 --seconds 4 --json-lines", emulation.can);
+        let mut grasp = dir.command(&line).stdout(Stdio::piped()).spawn()?;
+        let (mut result, mut held) = (Value::Null, 0);
+        for line in BufReader::new(grasp.stdout.take().unwrap()).lines() {
+            result = serde_json::from_str(&line?)?;
+            held += u32::from(result["state"] == "hold active" && result["event"] == "point");
+            holds.store(held > 0, Ordering::Relaxed);
+        }
+        assert!(held > 5 && result["code"] == "reached", "{held}: {result}");
+        assert!(grasp.wait()?.success());
+        // What does not hold yet is ended by a refusal.
+        let output = dir.run(&format!("grasp --can {} --force 60 --json", emulation.can));
+        let outcome: Value = serde_json::from_slice(&output.stdout)?;
+        assert_eq!(outcome["result"]["code"], "refused", "{outcome}");
         emulation.end();
         Ok(())
     }

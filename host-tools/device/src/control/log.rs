@@ -34,6 +34,7 @@ pub struct CommandLog {
     knows_stranger: bool,
     line_s: f64,
     point_s: f64,
+    /// Kept for the JSON object at the end only: a hold lasts hours.
     points: Vec<Value>,
     states: Vec<Value>,
     /// All faults of the session in JSON, by their first time.
@@ -99,7 +100,9 @@ impl CommandLog {
             self.point_s = now_s;
             if let Some(point) = point(client, now_s) {
                 self.event("point", &point);
-                self.points.push(point);
+                if matches!(self.lines, Some((_, LineFormat::None))) {
+                    self.points.push(point);
+                }
             }
         }
     }
@@ -161,17 +164,13 @@ impl Outcome {
         })
     }
 
-    fn result_json(&self) -> Value {
-        let Measured { time_s, state, force_n, opening_mm } = &self.measured;
-        json!({
-            "code": self.code.name(),
-            "status": self.code.status(),
-            "error": self.error_text(),
-            "time_s": time_s,
-            "state": state,
-            "force_n": force_n,
-            "opening_mm": opening_mm,
-        })
+    /// Its result as JSON.
+    pub fn result_json(&self) -> Value {
+        let mut result = json!(self.measured);
+        result["code"] = self.code.name().into();
+        result["status"] = self.code.status().into();
+        result["error"] = self.error_text().into();
+        result
     }
 
     fn error_text(&self) -> Option<String> {
@@ -188,8 +187,8 @@ impl Outcome {
     }
 }
 
-/// Measurements when the result was determined, before the session was ended.
-#[derive(Clone, Debug, Default)]
+/// State and measurements.
+#[derive(Clone, Debug, Default, serde::Serialize)]
 pub struct Measured {
     /// Time in seconds since the start.
     pub time_s: f64,
@@ -202,7 +201,8 @@ pub struct Measured {
 }
 
 impl Measured {
-    pub(super) fn of(client: &Client) -> Self {
+    /// The latest ones of a client.
+    pub fn of(client: &Client) -> Self {
         let values = client.state.grip.map(|grip| GripValues::of(&grip.value));
         Self {
             time_s: rounded(client.elapsed_s()),

@@ -1,8 +1,8 @@
 //! Steps of a session: connect, clear faults, arm, enable, home, command, hold.
 
-use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::sync::atomic::Ordering::Relaxed;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use anyhow::{Error, Result};
 use firmware::grip::commands::{flag, mode};
@@ -52,8 +52,6 @@ pub struct Session {
     pub(super) has_enabled: bool,
     /// The drive has been enabled in this session, by whoever it was.
     was_enabled: bool,
-    /// Time of the first of the latest heartbeats that say that the gripper was stopped.
-    stopped_s: Option<f64>,
     /// A command of this session that moves the fingers was sent.
     pub(super) has_commanded: bool,
     /// What is gripped, and the ground contact, are of this session.
@@ -62,9 +60,24 @@ pub struct Session {
     /// An object of another host is left as it is.
     pub(super) is_left_gripped: bool,
     is_reached: bool,
+    /// For who waits in another thread.
+    view: Arc<Mutex<View>>,
     has_moved: bool,
     has_touched: bool,
     has_slipped: bool,
+}
+
+/// What a session sees, for other threads.
+#[derive(Clone, Debug, Default, serde::Serialize)]
+pub struct View {
+    /// State, force and opening.
+    #[serde(flatten)]
+    pub measured: Measured,
+    /// Active faults.
+    pub faults: Vec<String>,
+    /// The set-point was reached.
+    #[serde(skip)]
+    pub is_reached: bool,
 }
 
 /// How a session ended.
@@ -112,15 +125,38 @@ impl Session {
             is_shutting_down: false,
             has_enabled: false,
             was_enabled: false,
-            stopped_s: None,
             has_commanded: false,
             owns_grip: false,
             owns_foot: false,
             is_left_gripped: false,
             is_reached: false,
+            view: Arc::default(),
             has_moved: false,
             has_touched: false,
             has_slipped: false,
+        }
+    }
+
+    /// What the session sees, from now on.
+    pub fn view(&self) -> Arc<Mutex<View>> {
+        self.view.clone()
+    }
+
+    /// State, force, opening and faults of the gripper, to which nothing is sent.
+    ///
+    /// # Errors
+    /// The connection is lost.
+    pub fn observe(mut self) -> Result<View> {
+        self.connect()?;
+        self.wait(CONNECT_S, |session| session.client.state.grip.is_some())?;
+        Ok(self.present())
+    }
+
+    fn present(&self) -> View {
+        View {
+            measured: Measured::of(&self.client),
+            faults: self.client.state.faults.iter().map(format::fault_line).collect(),
+            is_reached: self.is_reached,
         }
     }
 
@@ -347,8 +383,11 @@ impl Session {
 
     /// Waits for the first heartbeat and the end of the self-test.
     fn connect(&mut self) -> Result<WaitResult> {
-        let is_ready =
-            |session: &Self| session.code().is_some_and(|code| code > PowerState::SelfTest as u8);
+        let is_ready = |session: &Self| {
+            let is_fault = session.code() == Some(PowerState::Fault as u8);
+            session.code().is_some_and(|code| code > PowerState::SelfTest as u8)
+                && (!is_fault || session.client.is_certain())
+        };
         let waited = self.wait(CONNECT_S, is_ready)?;
         if waited == WaitResult::TimedOut {
             let name = self.client.name();
@@ -516,7 +555,7 @@ impl Session {
         }
     }
 
-    /// As [`Self::wait`], for a condition that may be an error.
+    /// As [`Self::wait`], for a condition that a state makes an error.
     fn wait_for(
         &mut self,
         limit_s: f64,
@@ -527,14 +566,16 @@ impl Session {
             if self.interrupted.load(Relaxed) {
                 return Ok(WaitResult::Interrupted);
             }
-            if is_done(self)? {
-                return Ok(WaitResult::Done);
-            }
-            if self.client.elapsed_s() >= end_s {
-                return Ok(WaitResult::TimedOut);
+            match is_done(self) {
+                Ok(true) => return Ok(WaitResult::Done),
+                Ok(false) if self.client.elapsed_s() >= end_s => return Ok(WaitResult::TimedOut),
+                Err(error) if self.client.is_certain() => return Err(error),
+                // Perhaps by a stranger's heartbeat: the gripper's own next one says.
+                Ok(false) | Err(_) => {}
             }
             self.client.poll()?;
             self.log.update(&self.client);
+            *self.view.lock().unwrap_or_else(PoisonError::into_inner) = self.present();
             check_protocol(&self.client.state)?;
             self.check()?;
         }
@@ -556,11 +597,7 @@ impl Session {
             || [PowerState::QuickStop, PowerState::FaultReaction, PowerState::Fault]
                 .iter()
                 .any(|power| *power as u8 == code);
-        // One heartbeat may be a stranger's: the gripper's own next one repeats the state.
-        let beat_s = self.client.state.heartbeat.map(|beat| beat.at_s);
-        let first_s = self.stopped_s.take();
-        self.stopped_s = first_s.or(beat_s).filter(|_| is_stopped);
-        let is_stopped = self.stopped_s.is_some_and(|first_s| beat_s > Some(first_s));
+        let is_stopped = is_stopped && self.client.is_certain();
         if is_stopped && self.client.is_armed() && !self.is_shutting_down {
             return Err(
                 ResultCode::Fault.error(format!("the gripper was stopped{}", self.faults()))
@@ -569,6 +606,11 @@ impl Session {
         match self.client.refused {
             // The next heartbeat has the state that prevented it.
             Some(refusal) if refusal.is_not_enabled() && self.was_enabled => Ok(()),
+            // The gripper has accepted the command that is repeated: if it is refused from now on, the heartbeats say why.
+            Some(_) if self.is_reached && !self.is_shutting_down => {
+                self.client.refused = None;
+                Ok(())
+            }
             Some(refusal) if !refusal.is_transient() => {
                 let faults = if refusal.is_of_fault() { self.faults() } else { String::new() };
                 Err(ResultCode::Refused.error(format!("{}{faults}", refusal.words())))

@@ -133,7 +133,7 @@ impl Recorder {
     /// Writing failed.
     pub fn take_message(&mut self, message: &Message) -> Result<()> {
         let time_us = self.last_us as f64;
-        self.mcap.as_mut().map_or(Ok(()), |mcap| mcap.message(time_us, message))
+        self.begun_mcap().map_or(Ok(()), |mcap| mcap.message(time_us, message))
     }
 
     /// Adds a row; times increase.
@@ -181,7 +181,12 @@ impl Recorder {
         }
         let written = tables.force.line(&text);
         self.or_cut(written)?;
-        self.mcap.as_mut().map_or(Ok(()), |mcap| mcap.reference(time_us, force_n))
+        self.begun_mcap().map_or(Ok(()), |mcap| mcap.reference(time_us, force_n))
+    }
+
+    /// The MCAP file with a row: its first message is of the topic that states the mapping.
+    fn begun_mcap(&mut self) -> Option<&mut BoardTopics<McapWriter>> {
+        self.mcap.as_mut().filter(|_| self.tally.rows > 0)
     }
 
     /// Time of the last row in microseconds.
@@ -189,7 +194,8 @@ impl Recorder {
         self.last_us
     }
 
-    /// Writes what is buffered; call it also while no rows arrive. Messages of less than a second stay in the chunk of the MCAP file.
+    /// Writes what is buffered; call it also while no rows arrive. Messages of less than a second stay in the chunk of the MCAP file,
+    /// except the first ones.
     ///
     /// # Errors
     /// Writing failed.
@@ -293,6 +299,10 @@ impl Recorder {
         for row in std::mem::take(&mut self.waiting) {
             self.write(&row)?;
         }
+        if let Some(mcap) = &mut self.mcap {
+            // The file appears, as the folder does: a killed process leaves nothing, or rows.
+            mcap.flush()?;
+        }
         self.flush()?;
         draft.commit(&self.target)?;
         Ok(())
@@ -348,9 +358,10 @@ impl Recorder {
         let Some(mcap) = &mut self.mcap else { return Ok(()) };
         let time_us = row.time_us as f64;
         mcap.row(time_us, &numbers)?;
-        if without_force {
-            // An import needs the times of force.csv, too.
-            mcap.reference(time_us, &vec![f64::NAN; 2 * self.tally.sensors.len()])?;
+        if without_force || self.tally.rows == 1 {
+            // An import needs a row of the reference: its first one may come late, or never.
+            let columns = self.reference.as_ref().map_or(2 * self.tally.sensors.len(), Vec::len);
+            mcap.reference(time_us, &vec![f64::NAN; columns])?;
         }
         if row.force_n.iter().any(Option::is_some) {
             let estimates = row.force_n.map(|force_n| EstimatedForce { force_n, sigma_n: None });

@@ -37,7 +37,7 @@ use crate::commands::check_compensated;
 use crate::commands::connection::{PortArgs, ReferenceArgs, default_virtual_board};
 use crate::commands::diagnose::write_plan_file;
 use crate::commands::workbench::live::{LiveGripper, RecordRequest};
-use device::http::{read_body, refuse, serve, single};
+use device::http::{Place, read_body, refuse, serve, single};
 use device::reference::ReferenceSource;
 
 /// Open a page in a browser of this machine: add effects and formulas to a model of a campaign, and every number and plot follows.
@@ -198,6 +198,9 @@ async fn authorise(
     let is_own = host == &*server.host || server.host.strip_suffix(":80") == Some(host);
     if !is_own || given != &*server.token {
         return refuse(StatusCode::FORBIDDEN, "Use the address that the command printed.\n");
+    }
+    if let Some(place) = request.extensions().get::<Arc<Place>>() {
+        place.admit();
     }
     let mut response = next.run(request).await;
     let headers = response.headers_mut();

@@ -66,10 +66,10 @@ pub struct TopicColumns<'a> {
 }
 
 impl RecordingMcap {
-    /// Creates the file with its topics.
+    /// A new file, which appears with its topics and first messages.
     ///
     /// # Errors
-    /// It exists or cannot be created.
+    /// It exists, or its folder cannot be written.
     pub fn create(
         path: &Path,
         description: &RecordingDescription,
@@ -77,9 +77,7 @@ impl RecordingMcap {
     ) -> Result<Self, DataError> {
         let mapping = mapping(path, description, columns.hall, columns.force)?;
         let writer = McapWriter::create(path)?;
-        let mut file = Self::new(writer, columns, Some(&mapping), 1e6 * description.start_s)?;
-        file.sink.flush()?;
-        Ok(file)
+        Self::new(writer, columns, Some(&mapping), 1e6 * description.start_s)
     }
 
     /// Writes the messages so far to the file if the first of them is a second old.
@@ -88,6 +86,14 @@ impl RecordingMcap {
     /// The file cannot be written.
     pub fn flush_due(&mut self) -> Result<(), DataError> {
         self.sink.flush_due()
+    }
+
+    /// Writes the messages so far to the file.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn flush(&mut self) -> Result<(), DataError> {
+        self.sink.flush()
     }
 
     /// Completes the file.
