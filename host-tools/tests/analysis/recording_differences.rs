@@ -2,6 +2,7 @@
 
 use serde_json::Value;
 use tests::campaign_copy::{CampaignCopy, CsvTable};
+use tests::{RECORDING_TOML, SyntheticCampaign, nominal, write_recording};
 
 use crate::workdir::WorkDir;
 
@@ -109,6 +110,39 @@ fn an_offset_of_the_field_is_found() {
         assert!(message.contains(part), "{part}: {message}");
     }
     assert_nothing_else(&diagnosis);
+}
+
+/// A magnet that was mounted again: effects are sought on the recordings without the other place, the forces are those as recorded.
+#[test]
+fn another_place_of_a_magnet_is_found_and_nothing_else() {
+    let dir = WorkDir::empty();
+    for (recording, [x_mm, y_mm]) in [(1, [0.0, 0.0]), (2, [0.004, 0.007]), (3, [0.0, -0.006])] {
+        let mut model = nominal();
+        model.gap_mm += y_mm;
+        model.offset_mm[0] += x_mm;
+        let bench = SyntheticCampaign { model, seconds: 30.0, noise: (0.3, 0.15), seed: 4 };
+        let (hall, force) = bench.tables(recording);
+        let folder = dir.path("moved").join(recording.to_string());
+        write_recording(&folder, RECORDING_TOML, &hall, &force);
+    }
+    let diagnosis = diagnosed(&dir, "moved");
+    let message = difference(&diagnosis).expect("a finding");
+    for part in ["the place of the magnet", "on the recordings without it"] {
+        assert!(message.contains(part), "{part}: {message}");
+    }
+    let moved_um = message.split(" by ").skip(1).filter_map(|rest| rest.split('±').next());
+    let moved_um: Vec<f64> = moved_um.filter_map(|value| value.parse().ok()).collect();
+    assert_eq!(moved_um.len(), 3, "{message}");
+    for (found, set) in moved_um.iter().zip([4.0, 7.0, -6.0]) {
+        assert!((found - set).abs() < 0.05, "{message}");
+    }
+    for list in ["accepted", "formulas"] {
+        assert_eq!(diagnosis[list], Value::Array(Vec::new()), "{list}");
+    }
+    assert_eq!(diagnosis["at_floor"], true);
+    let force = &diagnosis["staircase"][0]["force"];
+    let [excess_n, noise_n] = ["excess_n", "noise_n"].map(|name| force[name].as_f64().unwrap());
+    assert!(excess_n > 2.0 * noise_n, "{force}");
 }
 
 #[test]

@@ -298,6 +298,49 @@ pub fn recording_differences(
     found
 }
 
+/// What another place of a magnet changes in the field of one recording.
+pub struct PlaceChange {
+    /// Number of the sensor.
+    pub sensor: u32,
+    /// Place of the recording in the campaign.
+    pub recording: usize,
+    /// Times of the fitted rows in seconds, and the change of the reading there in gauss.
+    pub rows: Vec<(f64, Vector3<f64>)>,
+}
+
+/// Changes of the field by the differences of the magnets' places, of all rows of `setup`; arguments as of [`recording_differences`].
+pub fn place_changes(
+    setup: &FitSetup,
+    effects: &[EffectTerm],
+    values: &[Vec<f64>],
+    found: &RecordingDifference,
+) -> Vec<PlaceChange> {
+    let mut effects = effects.to_vec();
+    effects.sort_by_key(EffectTerm::stage);
+    let mut changes = Vec::new();
+    for ((rows, base), values) in setup.rows.iter().zip(&setup.bases).zip(values) {
+        let problem = SensorProblem::new(rows, base.as_ref(), &effects);
+        let base_values = &values[..problem.base_count];
+        for (recording, part) in rows.parts.iter().enumerate() {
+            let own = |one: &&Difference| one.sensor == rows.sensor && one.recording == recording;
+            let moves = found.differences.iter().filter(own);
+            let moved_mm: Vector3<f64> =
+                moves.map(|one| Vector3::ith(one.axis as usize, 1e-3 * one.value)).sum();
+            if moved_mm == Vector3::zeros() {
+                continue;
+            }
+            let mut states = problem.states(recording, values);
+            let here = base.fields(base_values, &states);
+            states.iter_mut().for_each(|state| state.displacement_mm += moved_mm);
+            let there = base.fields(base_values, &states);
+            let change = there.iter().zip(&here).map(|(there, here)| there - here);
+            let rows_of_part = part.time_s.iter().copied().zip(change).collect();
+            changes.push(PlaceChange { sensor: rows.sensor, recording, rows: rows_of_part });
+        }
+    }
+    changes
+}
+
 /// Whether a candidate explains at least half of what these columns of the sensors do, and leaves about as little.
 fn explains(sensors: &[Sensor], columns: &[DMatrix<f64>], candidate: &CandidateScore) -> bool {
     let noise: f64 =

@@ -295,6 +295,17 @@ pub struct Verdict {
 }
 
 impl Diagnosis {
+    /// Whether the effects were sought on recordings without the other places of their magnets.
+    pub fn is_without_places(&self) -> bool {
+        self.findings.iter().any(|finding| match &finding.evidence {
+            Evidence::RecordingDifference { cause, floors, .. } => {
+                *cause == DifferenceCause::MagnetPlace
+                    && recording_differences::explains_all(*floors)
+            }
+            _ => false,
+        })
+    }
+
     /// Accepted effects are equivalent to formulas that explain as much.
     fn set_equivalent_formulas(&mut self, equivalent_formulas: Vec<DiscoveredFormula>) {
         if equivalent_formulas.is_empty() {
@@ -498,8 +509,7 @@ pub fn diagnose(
             }
             observer.stage("comparing recordings", DIFFERENCES);
             // All recordings, of many with a sample of the rows of each.
-            let all = setup.sampled(SEARCH_ROWS);
-            let found = recording_differences::find(campaign, model, (&all, fitted), options);
+            let found = recording_differences::find(campaign, model, (setup, fitted), options);
             let Some((found, corrected)) = found else { return false };
             differences = Some(found);
             *campaign = Cow::Owned(corrected);
@@ -633,14 +643,15 @@ pub fn diagnose(
     // The fit is that of a comparison where it is of the recordings as they are.
     let is_as_recorded = differences.is_none();
     diagnosis.findings = differences.map_or_else(Vec::new, |found| found.findings);
-    // The effects were sought on the recordings with the differences of a place: those that explain more are the likelier cause.
+    // The effects were sought on the recordings with the differences of a place that does not explain all: those that explain more
+    // are the likelier cause.
     let last = selection.stages.last();
     diagnosis.findings.retain(|finding| match &finding.evidence {
-        Evidence::RecordingDifference {
-            cause: DifferenceCause::MagnetPlace,
-            floors: [_, with],
-            ..
-        } => last.is_none_or(|last| last.floors() >= *with),
+        Evidence::RecordingDifference { cause: DifferenceCause::MagnetPlace, floors, .. }
+            if !recording_differences::explains_all(*floors) =>
+        {
+            last.is_none_or(|last| last.floors() >= floors[1])
+        }
         _ => true,
     });
     diagnosis.model = path.display().to_string();

@@ -5,7 +5,7 @@ use model_export::effects::EffectTerm;
 use model_export::fit::FitOptions;
 use model_export::fit::campaign::{FitSetup, SEARCH_ROWS};
 use model_export::fit::recording_differences::{
-    DifferenceCause, RecordingDifference, recording_differences,
+    DifferenceCause, PlaceChange, RecordingDifference, place_changes, recording_differences,
 };
 use model_export::fit::score_test::{CandidateScore, ScoreTest};
 use model_export::model_file::ModelFile;
@@ -15,6 +15,7 @@ use model_export::recordings::{Campaign, Location, Recording};
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
+use crate::compare::AT_FLOOR;
 use crate::data_quality::Finding;
 use crate::data_quality::evidence::{Evidence, RecordingOffset};
 use crate::data_quality::fix::{Change, Fix, FixKind, Repair};
@@ -37,9 +38,15 @@ pub struct Differences {
     pub offsets: Vec<RecordingOffsets>,
 }
 
+/// Whether a difference of the magnets' places is all that the model does not explain: it is then the cause, and not what other
+/// effects make of it.
+pub fn explains_all([_, with]: [f64; 2]) -> bool {
+    with <= AT_FLOOR
+}
+
 /// Differences of a campaign's recordings that no effect of the catalogue missing from `fitted` makes, and the campaign without those
-/// of a zero; `None` where there are none, or where the model does not fit the campaign better without them. `setup` is a sample of
-/// its rows, `model` the file with the base of `fitted`.
+/// of a zero, and of a place that explains all; `None` where there are none, or where the model does not fit the campaign better
+/// without them. `setup` has its rows, `model` is the file with the base of `fitted`.
 pub fn find(
     campaign: &Campaign,
     model: &ModelFile,
@@ -49,27 +56,35 @@ pub fn find(
     let values: Vec<Vec<f64>> =
         fitted.fit.sensors.iter().map(|sensor| sensor.values.clone()).collect();
     let (testable, _) = candidates(campaign, Some(model), &fitted.effects, &[]);
-    let around = ScoreTest::new(setup, &fitted.effects, &fitted.fit, BLOCK_S);
+    let sample = setup.sampled(SEARCH_ROWS);
+    let around = ScoreTest::new(&sample, &fitted.effects, &fitted.fit, BLOCK_S);
     // An event at an instant has more coefficients than the difference, and says less.
     let scores: Vec<CandidateScore> = testable
         .par_iter()
         .filter(|candidate| !candidate.is_event())
         .filter_map(|candidate| around.score(candidate))
         .collect();
-    let found = recording_differences(setup, &fitted.effects, &values, &scores);
+    let found = recording_differences(&sample, &fitted.effects, &values, &scores);
     if found.is_empty() {
         return None;
     }
     let offsets = offsets(&found, setup, campaign.recordings.len());
     let mut corrected = campaign.clone();
     corrected.recordings.iter_mut().zip(&offsets).for_each(|(one, of)| correct(one, of));
-    if offsets.iter().any(|of_recording| !of_recording.is_empty()) {
+    let is_place = |one: &&RecordingDifference| {
+        one.cause == DifferenceCause::MagnetPlace && explains_all(one.floors)
+    };
+    let place = found.iter().find(is_place);
+    for change in place.iter().flat_map(|one| place_changes(setup, &fitted.effects, &values, one)) {
+        move_magnet(&mut corrected.recordings[change.recording], &change);
+    }
+    if place.is_some() || offsets.iter().any(|of_recording| !of_recording.is_empty()) {
         let without = model.fit_setup(&corrected, options).ok()?.sampled(SEARCH_ROWS);
         let error = |setup: &FitSetup| {
             let fit = FittedModel::without_validation(setup, fitted.effects.clone(), options);
             fit.ok().map(|fit| fit.fitted_mean_square())
         };
-        if error(&without)? >= error(setup)? {
+        if error(&without)? >= error(&sample)? {
             return None;
         }
     }
@@ -84,9 +99,10 @@ pub fn next_to(
     effects: Vec<EffectTerm>,
     options: FitOptions,
 ) -> Vec<Finding> {
-    let setup = model.fit_setup(campaign, options).map(|setup| setup.sampled(SEARCH_ROWS));
+    let setup = model.fit_setup(campaign, options);
     let found = setup.ok().and_then(|setup| {
-        let fitted = FittedModel::without_validation(&setup, effects, options).ok()?;
+        let sample = setup.sampled(SEARCH_ROWS);
+        let fitted = FittedModel::without_validation(&sample, effects, options).ok()?;
         find(campaign, model, (&setup, &fitted), options)
     });
     found.map_or_else(Vec::new, |(found, _)| found.findings)
@@ -134,6 +150,16 @@ fn correct(recording: &mut Recording, offsets: &RecordingOffsets) {
                 (0..3).for_each(|axis| field[axis] -= offset.field_g[axis]);
             }
         }
+    }
+}
+
+/// Removes what another place of a magnet changes from the fitted rows of a recording in memory.
+fn move_magnet(recording: &mut Recording, change: &PlaceChange) {
+    let Some(sensor) = recording.sensors.get_mut(&change.sensor) else { return };
+    let mut changes = change.rows.iter().peekable();
+    for (time_s, field_g) in recording.time_s.iter().zip(&mut sensor.field_g) {
+        let Some((_, change_g)) = changes.next_if(|(of, _)| of == time_s) else { continue };
+        (0..3).for_each(|axis| field_g[axis] -= change_g[axis]);
     }
 }
 

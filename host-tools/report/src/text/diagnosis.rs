@@ -662,7 +662,11 @@ pub fn at_floor_note(diagnosis: &Diagnosis) -> String {
         "the error of the field is within {:.0} % of its noise floor",
         100.0 * (AT_FLOOR - 1.0)
     );
-    match force.as_ref().and_then(force_error::larger_excess) {
+    let excess = match diagnosis.is_without_places() {
+        true => force_error::excess_of_places,
+        false => force_error::larger_excess,
+    };
+    match force.as_ref().and_then(excess) {
         None => format!("AT NOISE FLOOR{with}: {field}, and a further effect would fit noise."),
         Some(excess) => format!("FIELD AT NOISE FLOOR{with}: {field}. {excess}"),
     }

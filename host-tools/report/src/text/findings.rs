@@ -6,6 +6,7 @@ use analysis::data_quality::evidence::{
     RecordingSet,
 };
 use analysis::data_quality::fix::{Fix, FixKind};
+use analysis::diagnose::recording_differences::explains_all;
 use analysis::numbers::{decimal, signal, with_error};
 use model_export::fit::recording_differences::DifferenceCause;
 use model_export::recordings::dependence::DependenceKind;
@@ -269,7 +270,7 @@ pub fn message(finding: &Finding) -> String {
                 floors[1],
                 difference_advice(*cause),
                 match cause {
-                    DifferenceCause::MagnetPlace =>
+                    DifferenceCause::MagnetPlace if !explains_all(*floors) =>
                         "searches for effects on the recordings as they are",
                     _ => "searches for effects on the recordings without it",
                 }

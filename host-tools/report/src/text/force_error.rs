@@ -118,10 +118,25 @@ pub fn is_at_noise(force: &ForceError) -> bool {
 
 /// Note to a field at its noise floor, where the forces are not: what is left is of the device's own computation.
 pub fn larger_excess(force: &ForceError) -> Option<String> {
+    excess_of(
+        force,
+        "The field leaves no effect to find, so this is the error of the device's tables and of its compensation of the effects; \
+         `replay` shows it by sensor and recording.",
+    )
+}
+
+/// The same where the field is that of recordings without the other places of their magnets.
+pub fn excess_of_places(force: &ForceError) -> Option<String> {
+    excess_of(
+        force,
+        "They are of the recordings as they are: a calibration holds for one mounting of the magnets.",
+    )
+}
+
+fn excess_of(force: &ForceError, cause: &str) -> Option<String> {
     (!is_at_noise(force)).then(|| {
         format!(
-            "The forces are not at their noise: excess {:.3} N, {:.1} times the noise. The field leaves no effect to find, so this is \
-             the error of the device's tables and of its compensation of the effects; `replay` shows it by sensor and recording.",
+            "The forces are not at their noise: excess {:.3} N, {:.1} times the noise. {cause}",
             force.excess_n(),
             force.excess_n() / force.noise_n
         )
