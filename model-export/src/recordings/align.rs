@@ -32,7 +32,7 @@ pub struct WindowMean {
     pub values: Vec<f64>,
     /// Ratio of the standard deviation of white noise after averaging to that before.
     pub noise_gain: f64,
-    /// How the channels move within the window; `None` with fewer than [`MIN_SAMPLES`].
+    /// How the channels move within the window; `None` where its samples are too few.
     pub motion: Option<WindowMotion>,
 }
 
