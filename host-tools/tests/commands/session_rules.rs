@@ -27,9 +27,13 @@ fn security_page_lists_the_rules() {
 fn security_page_names_existing_tests() {
     let root = std::path::Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/.."));
     let mut sources = String::new();
-    for folder in
-        ["firmware/src/protocol", "firmware/src/system", "firmware/src/tasks", "host-tools/tests"]
-    {
+    for folder in [
+        "firmware/src/protocol",
+        "firmware/src/system",
+        "firmware/src/tasks",
+        "host-tools/device/src/recorder",
+        "host-tools/tests",
+    ] {
         append_sources(&root.join(folder), &mut sources);
     }
     let page = std::fs::read_to_string(root.join("firmware/SECURITY.md")).unwrap();

@@ -460,12 +460,24 @@ pub struct SensorRowAssembler {
     sets: Option<Sets>,
     /// True after the first row.
     begun: bool,
+    /// Counter of the latest heartbeat, and whether a version came after it.
+    beat: Option<u8>,
+    has_version: bool,
 }
+
+/// Steps of the heartbeats' counter of a board that did not restart.
+const STEPS: std::ops::RangeInclusive<u8> = 1..=3;
 
 impl SensorRowAssembler {
     /// For a serial line: one packet per tick.
     pub fn of_ticks() -> Self {
-        Self { clock: BoardClock::default(), sets: None, begun: false }
+        Self {
+            clock: BoardClock::default(),
+            sets: None,
+            begun: false,
+            beat: None,
+            has_version: false,
+        }
     }
 
     /// For a CAN bus: one frame per sensor follows the forces, which come every `period_us`.
@@ -485,8 +497,19 @@ impl SensorRowAssembler {
     /// The board restarted since the last row.
     pub fn take(&mut self, at_s: f64, packet: &Packet) -> Result<Option<SensorRow>, Restarted> {
         let row = match (packet, &mut self.sets) {
-            (Packet::Message { message: Message::Version(_), .. }, _) => {
-                return if self.begun { Err(Restarted) } else { Ok(None) };
+            // A board sends it at its start, and to whoever asks for it. The ticks show a restart by their time.
+            (Packet::Message { message: Message::Version(_), .. }, sets) => {
+                self.has_version = self.begun && sets.is_some();
+                None
+            }
+            (Packet::Message { message: Message::Heartbeat(beat), .. }, _) => {
+                let step =
+                    self.beat.replace(beat.counter).map(|last| beat.counter.wrapping_sub(last));
+                let is_suspect = std::mem::take(&mut self.has_version);
+                if is_suspect && step.is_some_and(|step| !STEPS.contains(&step)) {
+                    return Err(Restarted);
+                }
+                None
             }
             (Packet::Tick(tick), None) => Some(SensorRow {
                 time_us: self.clock.extend(tick.time_us, at_s).ok_or(Restarted)?,
@@ -562,7 +585,7 @@ impl Sets {
 
 #[cfg(test)]
 mod unit_tests {
-    use firmware::protocol::messages::{Force, Version};
+    use firmware::protocol::messages::{Force, Heartbeat, Version};
     use firmware::protocol::serial::{SensorTick, Tick};
 
     use super::*;
@@ -623,12 +646,28 @@ mod unit_tests {
     }
 
     #[test]
-    fn decreasing_clock_or_second_version_is_a_restart() {
+    fn a_decreasing_clock_is_a_restart_and_a_version_is_none() {
         let version = Packet::Message { copy: 0, message: Message::Version(Version::default()) };
         let mut rows = SensorRowAssembler::of_ticks();
         assert_eq!(rows.take(0.0, &version), Ok(None));
         assert_eq!(rows.take(0.0, &tick(9_000)).unwrap().unwrap().time_us, 9_000);
-        assert_eq!(rows.clone().take(0.1, &version), Err(Restarted));
+        assert_eq!(rows.take(0.1, &version), Ok(None));
+        assert_eq!(rows.take(0.1, &tick(10_000)).unwrap().unwrap().time_us, 10_000);
         assert_eq!(rows.take(0.1, &tick(2_000)), Err(Restarted));
+    }
+
+    /// Whoever asks a board for its version gets it on the bus of all.
+    #[test]
+    fn a_version_and_new_heartbeats_are_a_restart_on_a_bus() {
+        let message = |message| Packet::Message { copy: 0, message };
+        let beat =
+            |counter| message(Message::Heartbeat(Heartbeat { counter, ..Heartbeat::default() }));
+        let version = message(Message::Version(Version::default()));
+        let mut rows = SensorRowAssembler::of_sets(10_000);
+        for packet in [force(7), raw(0, 1), force(8), beat(254), version, beat(255), beat(0)] {
+            assert!(rows.take(0.0, &packet).is_ok(), "{packet:?}");
+        }
+        assert!(rows.take(0.1, &version).is_ok());
+        assert_eq!(rows.take(0.2, &beat(0)), Err(Restarted));
     }
 }
