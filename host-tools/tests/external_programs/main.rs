@@ -280,8 +280,8 @@ mod unix {
         stranger.write_all(b"< open can0 >")?;
         // Messages of the gripper's number: heartbeats of another version and of a fault, and, once it holds, between all of the
         // gripper's own, those of other states and refusals of the command.
-        let holds = Arc::new(AtomicBool::new(false));
-        let is_held = holds.clone();
+        let [holds, refuses] = [false; 2].map(|is| Arc::new(AtomicBool::new(is)));
+        let (is_held, is_refused) = (holds.clone(), refuses.clone());
         std::thread::spawn(move || {
             let own = PROTOCOL_VERSION.0;
             let beat = |protocol_major, state: u8| {
@@ -302,10 +302,17 @@ mod unix {
             ];
             for (number, message) in forged.into_iter().enumerate().cycle() {
                 let holds = is_held.load(Ordering::Relaxed);
-                if number > 1 && !holds {
+                let refuses = is_refused.load(Ordering::Relaxed);
+                let is_refusal = matches!(message, Message::ServiceReply(_));
+                if (refuses && !is_refusal) || (number > 1 && !holds) {
                     continue;
                 }
-                let [count, pause_ms] = if holds { [2, 70] } else { [1, 700] };
+                // A refusal comes before the fingers have closed.
+                let [count, pause_ms] = match (holds, refuses) {
+                    (_, true) => [1, 20],
+                    (true, _) => [2, 70],
+                    (false, _) => [1, 700],
+                };
                 let bytes = message.to_bytes().map(|byte| format!("{byte:02X} "));
                 let id = frame_id(DEFAULT_NODE, message.number());
                 let frame = format!("< send {id:03X} 8 {}>", bytes.concat());
@@ -327,7 +334,9 @@ mod unix {
         assert!(held > 5 && result["code"] == "reached", "{held}: {result}");
         assert!(grasp.wait()?.success());
         // What does not hold yet is ended by a refusal.
-        let output = dir.run(&format!("grasp --can {} --force 60 --json", emulation.can));
+        refuses.store(true, Ordering::Relaxed);
+        let line = format!("grasp --can {} --force 60 --seconds 4 --json", emulation.can);
+        let output = dir.run(&line);
         let outcome: Value = serde_json::from_slice(&output.stdout)?;
         assert_eq!(outcome["result"]["code"], "refused", "{outcome}");
         emulation.end();
