@@ -22,7 +22,7 @@ def bus(tmp_path_factory):
     """The bus of a homed gripper with an object of 40 mm."""
     if not IMAGE.exists():
         pytest.skip("the image is built by EMULATION=required cargo test -p host-tools")
-    line = [command_path(), "emulate", str(IMAGE), "--opening", "3", "--object", "40", "--speed", "0.5"]
+    line = [command_path(), "emulate", str(IMAGE), "--opening", "3", "--object", "40", "--speed", "1"]
     log = tmp_path_factory.mktemp("emulator") / "log"
     with log.open("w") as out:
         emulator = subprocess.Popen(line, stdout=out, stderr=out)
