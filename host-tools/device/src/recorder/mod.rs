@@ -460,9 +460,6 @@ pub struct SensorRowAssembler {
     sets: Option<Sets>,
     /// True after the first row.
     begun: bool,
-    /// Counter of the latest heartbeat, and whether a version came after it.
-    beat: Option<u8>,
-    has_version: bool,
 }
 
 /// Steps of the heartbeats' counter of a board that did not restart.
@@ -471,18 +468,18 @@ const STEPS: std::ops::RangeInclusive<u8> = 1..=3;
 impl SensorRowAssembler {
     /// For a serial line: one packet per tick.
     pub fn of_ticks() -> Self {
-        Self {
-            clock: BoardClock::default(),
-            sets: None,
-            begun: false,
-            beat: None,
-            has_version: false,
-        }
+        Self { clock: BoardClock::default(), sets: None, begun: false }
     }
 
     /// For a CAN bus: one frame per sensor follows the forces, which come every `period_us`.
     pub fn of_sets(period_us: u64) -> Self {
-        let sets = Sets { period_us, counted: None, readings: [None; SENSORS] };
+        let sets = Sets {
+            period_us,
+            counted: None,
+            readings: [None; SENSORS],
+            beat: None,
+            has_version: false,
+        };
         Self { sets: Some(sets), ..Self::of_ticks() }
     }
 
@@ -497,19 +494,13 @@ impl SensorRowAssembler {
     /// The board restarted since the last row.
     pub fn take(&mut self, at_s: f64, packet: &Packet) -> Result<Option<SensorRow>, Restarted> {
         let row = match (packet, &mut self.sets) {
-            // A board sends it at its start, and to whoever asks for it. The ticks show a restart by their time.
-            (Packet::Message { message: Message::Version(_), .. }, sets) => {
-                self.has_version = self.begun && sets.is_some();
+            // The ticks of a serial line show a restart by their time.
+            (Packet::Message { message: Message::Version(_), .. }, Some(sets)) => {
+                sets.has_version = self.begun;
                 None
             }
-            (Packet::Message { message: Message::Heartbeat(beat), .. }, _) => {
-                let step =
-                    self.beat.replace(beat.counter).map(|last| beat.counter.wrapping_sub(last));
-                let is_suspect = std::mem::take(&mut self.has_version);
-                if is_suspect && step.is_some_and(|step| !STEPS.contains(&step)) {
-                    return Err(Restarted);
-                }
-                None
+            (Packet::Message { message: Message::Heartbeat(beat), .. }, Some(sets)) => {
+                sets.continues(beat.counter).then_some(None).ok_or(Restarted)?
             }
             (Packet::Tick(tick), None) => Some(SensorRow {
                 time_us: self.clock.extend(tick.time_us, at_s).ok_or(Restarted)?,
@@ -535,9 +526,20 @@ struct Sets {
     /// Counter of the forces, number of the set since the first, reception time.
     counted: Option<(u8, u64, f64)>,
     readings: [Option<HallReading>; SENSORS],
+    /// Counter of the latest heartbeat.
+    beat: Option<u8>,
+    /// A version came after it: a board sends one at its start, and to whoever asks for it.
+    has_version: bool,
 }
 
 impl Sets {
+    /// Whether the heartbeat with this counter is of a board that did not restart.
+    fn continues(&mut self, counter: u8) -> bool {
+        let step = self.beat.replace(counter).map(|last| counter.wrapping_sub(last));
+        let is_suspect = std::mem::take(&mut self.has_version);
+        !is_suspect || step.is_none_or(|step| STEPS.contains(&step))
+    }
+
     fn take(&mut self, at_s: f64, message: &Message) -> Option<SensorRow> {
         match message {
             Message::Force(force) => match self.counted {
