@@ -552,7 +552,7 @@ pub fn diagnose(
     }
     eliminate_undetermined(&prepared, &mut selection, formulas.len(), options)?;
     if !observer.is_stopped() {
-        tie_delays(&prepared, &mut selection, options)?;
+        tie_delays(&prepared, &mut selection, options);
     }
     selection.confirm(&mut formulas);
     let mut forces = Vec::new();

@@ -129,7 +129,7 @@ pub fn larger_excess(force: &ForceError) -> Option<String> {
 pub fn excess_of_places(force: &ForceError) -> Option<String> {
     excess_of(
         force,
-        "They are of the recordings as they are: a calibration holds for one mounting of the magnets.",
+        "They are of the recordings as they are, by a fit without the other places of the magnets: a calibration holds for one mounting.",
     )
 }
 

@@ -523,7 +523,7 @@ fn counts_that_wrapped_are_found_and_restored() {
     assert_eq!(restored, clean(2, "hall.csv").numbers("s1_x_lsb"));
 }
 
-/// Spikes of about a power of two of counts: the values beside them do not go on where they were.
+/// Spikes of about a power of two of counts: the values next to them are where they were.
 #[test]
 fn spikes_do_not_wrap() {
     let spoilt = CampaignCopy::new().change(&[2], "hall.csv", |cells| {
