@@ -305,17 +305,15 @@ fn a_line_through_a_parabola_is_answered_by_the_second_degree() {
     assert_eq!(fitted(2), None);
 }
 
-/// The same tables where the field rises by 40 G within 5 ms once a second, between two rows of the reference.
-fn with_knocks(hall: &str) -> String {
+/// The same table with counts added to the first axis, as a function of the time in microseconds.
+fn with_counts(hall: &str, added: impl Fn(u64) -> f64) -> String {
     rows(hall, |all| {
-        let knock = |row: &str| {
+        let changed = |row: &str| {
             let mut cells: Vec<f64> = row.split(',').map(|cell| cell.parse().unwrap()).collect();
-            if (503..508).contains(&((cells[0] as u64 / 1000) % 1000)) {
-                cells[1] += 40.0 / 0.125;
-            }
+            cells[1] += added(cells[0] as u64).round();
             cells.iter().map(f64::to_string).collect::<Vec<_>>().join(",")
         };
-        all.into_iter().map(knock).collect()
+        all.into_iter().map(changed).collect()
     })
 }
 
@@ -335,7 +333,9 @@ fn rows_with_a_knock_in_their_window_are_left_out() {
         times
     };
     assert_eq!(left_out(&hall), Vec::<f64>::new());
-    let knocked = left_out(&with_knocks(&hall));
+    // 40 G within 5 ms once a second, between two rows of the reference.
+    let knock = |us: u64| if (503..508).contains(&(us / 1000 % 1000)) { 40.0 / 0.125 } else { 0.0 };
+    let knocked = left_out(&with_counts(&hall, knock));
     let near: Vec<f64> = (0..10).flat_map(|s| [f64::from(s) + 0.50, f64::from(s) + 0.51]).collect();
     assert_eq!(knocked.len(), near.len(), "{knocked:?}");
     assert!(knocked.iter().zip(&near).all(|(a, b)| (a - b).abs() < 1e-9), "{knocked:?}");
@@ -345,15 +345,8 @@ fn rows_with_a_knock_in_their_window_are_left_out() {
 #[test]
 fn rows_of_a_fast_load_are_kept() {
     let (hall, force) = bench(10.0).tables(1);
-    let fast = rows(&hall, |all| {
-        let shake = |row: &str| {
-            let mut cells: Vec<f64> = row.split(',').map(|cell| cell.parse().unwrap()).collect();
-            let phase = std::f64::consts::TAU * 30.0 * cells[0] * 1e-6;
-            cells[1] += (100.0 / 0.125 * phase.sin()).round();
-            cells.iter().map(f64::to_string).collect::<Vec<_>>().join(",")
-        };
-        all.into_iter().map(shake).collect()
-    });
+    let shake = |us: u64| 100.0 / 0.125 * (std::f64::consts::TAU * 30.0 * us as f64 * 1e-6).sin();
+    let fast = with_counts(&hall, shake);
     let campaign = recording(&fast, &force);
     assert!(campaign.recordings[0].sensors[&0].field_g.iter().all(|field| field[0].is_finite()));
 }

@@ -26,7 +26,7 @@ create_exception!(
     magpie,
     GripperError,
     PyRuntimeError,
-    "A gripper that did not do what it was told. Attributes: code and status as in the results of `cargo magpie grasp`, and data, the result as JSON."
+    "A gripper that did not do what was requested. Attributes: code and status as in the results of `cargo magpie grasp`, and data, the result as JSON."
 );
 
 /// Interval between two looks at a session.
