@@ -1,3 +1,4 @@
+use firmware::compensation::covariates::AttitudeSample;
 use firmware::sensors::hall::HallReading;
 use model_export::recordings::Recording;
 use model_export::recordings::align::Alignment;
@@ -154,6 +155,27 @@ fn late_covariate_omits_its_rows_and_not_its_column() {
     let tally = recorder.finish().unwrap();
     assert_eq!((tally.covariates, tally.without_covariates), (vec!["opening_mm"], 10));
     assert_eq!((tally.rows, tally.left_out), (990, 10));
+}
+
+#[test]
+fn pose_of_the_host_is_recorded_though_it_came_late() {
+    let attitude = AttitudeSample { age_ms: 0, euler: [0; 3] };
+    // Of the first 201 rows, a busy machine gave the pose to 50.
+    for (has_pose, columns, rows) in
+        [(true, vec!["roll_rad", "pitch_rad", "yaw_rad"], 849), (false, vec![], 1000)]
+    {
+        let folder = TempDir::new().unwrap();
+        let mut recorder = recorder(folder.path()).with_pose(has_pose);
+        for ms in 0..1000 {
+            let mut row = row(ms, &[0, 1, 2, 3]);
+            let is_late = (50..201).contains(&ms);
+            row.covariates =
+                Covariates { attitude: (!is_late).then_some(attitude), ..Covariates::default() };
+            recorder.take(row).unwrap();
+        }
+        let tally = recorder.finish().unwrap();
+        assert_eq!((tally.covariates, tally.rows), (columns, rows));
+    }
 }
 
 #[test]

@@ -163,7 +163,8 @@ pub fn run(args: &Args) -> Result<()> {
         let pole_pairs = params_client::read(source.as_mut(), id::POLE_PAIRS)?;
         design.more.insert("motor_pole_pairs".to_owned(), i64::from(pole_pairs).into());
     }
-    let mut recorder = Recorder::new(&args.output, description, rows.period_us(), columns)?;
+    let mut recorder =
+        Recorder::new(&args.output, description, rows.period_us(), columns)?.with_pose(has_pose);
     if let Some(path) = &args.mcap {
         recorder = recorder.with_mcap(path)?;
     }
