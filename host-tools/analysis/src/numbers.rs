@@ -3,8 +3,12 @@
 use model_export::recordings::columns::SignalUnit;
 use model_export::recordings::units::round_significant;
 
-/// `value±error`, both to two significant digits of the error, but no finer than a thousandth of `scale`.
+/// `value±error`, both to two significant digits of the error, but no finer than a thousandth of `scale`; the value to three digits
+/// where there is no error.
 pub fn with_error(value: f64, error: f64, scale: f64) -> String {
+    if error.is_nan() {
+        return three_digits(value);
+    }
     let decimals = decimals_for(error).min(decimals_for(0.01 * scale));
     format!("{value:.decimals$}±{error:.decimals$}")
 }
@@ -104,6 +108,7 @@ mod tests {
             (501.097_4, 0.019_68, 0.1, "501.097±0.020"),
             (-35.2, 17.0, 50.0, "-35±17"),
             (501.097_4, 0.001_9, 50.0, "501.10±0.00"),
+            (6.475_7, f64::NAN, 6.5, "6.48"),
         ] {
             assert_eq!(with_error(value, error, scale), text);
         }

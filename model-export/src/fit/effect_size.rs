@@ -76,11 +76,16 @@ fn within((value, std_error): (f64, f64), (low, high): (f64, f64)) -> bool {
 ///
 /// The standard error is the larger of that by blocks of time and, of three folds and more, that of the jackknife over the folds: the
 /// first is linear at the solution and misses what differs between recordings, such as the rate of a clock. The scatter over shapes
-/// that the recordings do not exclude is added where the fit has their profiles.
+/// that the recordings do not exclude is added where the fit has their profiles. An event has no standard error: it lies in one block.
 pub fn effect_sizes(fit: &JointFit, effects: &[EffectTerm], recordings: usize) -> Vec<EffectSize> {
     let folds: Vec<JointFit> = (0..fit.fold_count()).map(|fold| fit.without(fold)).collect();
     let of = |effect: &EffectTerm| {
         let mut size = effect_size(fit, effects, effect, recordings);
+        if effect.is_event() {
+            // Draws of blocks without the event do not determine it.
+            (size.std_error, size.data_error) = (f64::NAN, 0.0);
+            return size;
+        }
         let others = folds.iter().map(|fold| effect_size(fold, effects, effect, recordings));
         let same = others.filter(|other| other.component == size.component);
         let values: Vec<f64> = same.map(|other| other.value).collect();

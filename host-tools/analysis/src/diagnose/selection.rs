@@ -449,8 +449,8 @@ impl FittedModel {
         effect_sizes(&self.fit, &self.effects, recordings).into_iter().nth(place)
     }
 
-    /// Whether one of its effects has a plausible magnitude, neither tiny nor within its own error. An effect at an instant has no
-    /// error of its own: it acts in one block of the bootstrap, and a duration beyond those searched is no event.
+    /// Whether one of its effects has a plausible magnitude, neither tiny nor within its own error. A duration beyond those searched
+    /// is no event.
     pub fn is_plausible(&self, effect: &EffectTerm, recordings: usize) -> bool {
         self.size_of(effect, recordings).is_none_or(|size| {
             let tiny = size.largest < MIN_MAGNITUDE * size.size.typical.abs();
