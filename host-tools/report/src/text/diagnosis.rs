@@ -239,9 +239,18 @@ const STEP_NOTE: &str = "Held out. Params: free parameters of the model at one s
 pub fn force_headline(diagnosis: &Diagnosis) -> String {
     let force = |step: Option<&StaircaseStep>| step.and_then(|step| step.force);
     let steps = &diagnosis.staircase;
+    let rows = |error: &ForceError| match diagnosis.is_without_places() {
+        true => format!(
+            "{}, fitted without the other places of the magnets",
+            force_error::rows(error.rows)
+        ),
+        false => force_error::rows(error.rows).into_owned(),
+    };
     match (force(steps.first()), force(steps.last())) {
-        (Some(before), Some(after)) if steps.len() > 1 => force_error::change(&before, &after),
-        (Some(only), _) => force_error::headline(&only),
+        (Some(before), Some(after)) if steps.len() > 1 => {
+            force_error::change_of(&before, &after, &rows(&after))
+        }
+        (Some(only), _) => force_error::headline_of(&only, &rows(&only)),
         (None, _) => String::new(),
     }
 }

@@ -32,9 +32,13 @@ pub fn rows(rows: ErrorRows) -> Cow<'static, str> {
 
 /// Headline of one model.
 pub fn headline(error: &ForceError) -> String {
+    headline_of(error, &rows(error.rows))
+}
+
+/// Headline of one model; `rows` says of which rows and which fit the error is.
+pub fn headline_of(error: &ForceError, rows: &str) -> String {
     format!(
-        "Force error ({}; device's code, RMS over all forces): {:.3} N; noise {:.3} N, excess over noise {:.3} N.",
-        rows(error.rows),
+        "Force error ({rows}; device's code, RMS over all forces): {:.3} N; noise {:.3} N, excess over noise {:.3} N.",
         error.rms_n,
         error.noise_n,
         error.excess_n()
@@ -43,10 +47,14 @@ pub fn headline(error: &ForceError) -> String {
 
 /// Headline of a model before and after a change, on the same rows.
 pub fn change(before: &ForceError, after: &ForceError) -> String {
+    change_of(before, after, &rows(after.rows))
+}
+
+/// [`change`]; `rows` as of [`headline_of`].
+pub fn change_of(before: &ForceError, after: &ForceError, rows: &str) -> String {
     format!(
-        "Force error ({}; device's code, RMS over all forces): {:.3} N → {:.3} N; noise {:.3} N, excess over noise \
+        "Force error ({rows}; device's code, RMS over all forces): {:.3} N → {:.3} N; noise {:.3} N, excess over noise \
          {:.3} N → {:.3} N.",
-        rows(after.rows),
         before.rms_n,
         after.rms_n,
         after.noise_n,
