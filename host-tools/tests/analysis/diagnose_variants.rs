@@ -290,3 +290,66 @@ fn a_load_cell_over_the_temperature_is_no_drift_of_the_sensor_alone() {
         assert!(covariates.contains(&"temp_c".into()), "{diagnosis}");
     }
 }
+
+/// At slow loads a clock, a lag and a filter delay the field alike.
+#[test]
+fn delays_that_the_loads_do_not_separate_are_tied() {
+    for effect in ["clock_skew", "viscous_lag", "reference_filter"] {
+        let diagnosis = simulated(&format!("--effect {effect} --sensors 1"));
+        let [step] = &accepted(&diagnosis)[..] else { panic!("{}", diagnosis["accepted"]) };
+        assert!(step.contains(&effect) && step.contains(&"clock_skew"), "{effect}: {step:?}");
+        assert!(step.len() > 1, "{effect}: {step:?}");
+    }
+}
+
+/// Errors of the reference that alternate from row to row look like more noise than there is: what is then below the floor may still
+/// be significant, and is not named.
+#[test]
+fn nothing_is_named_below_the_noise_floor() {
+    let dir = WorkDir::empty();
+    dir.stdout("simulate -o campaign --effect hysteresis=0.3 --sensors 1");
+    for recording in 1..=3 {
+        let folder = dir.path("campaign").join(recording.to_string());
+        let mut cells = CsvTable::read(&folder.join("force.csv.gz"));
+        for column in ["f0_x_n", "f0_z_n"] {
+            cells.change(column, |row, value| {
+                (value + if row % 2 == 0 { 0.3 } else { -0.3 }).to_string()
+            });
+        }
+        std::fs::remove_file(folder.join("force.csv.gz")).unwrap();
+        cells.write(&folder, "force.csv");
+    }
+    let diagnosis = diagnosed(&dir.path("campaign"));
+    let before = &diagnosis["staircase"][0];
+    let [held_out_g, floor_g] =
+        ["held_out_rms_g", "floor_g"].map(|key| before[key].as_f64().unwrap());
+    assert!(held_out_g < 0.9 * floor_g, "{before}");
+    assert_eq!(diagnosis["verdicts"][0]["effect"], "hysteresis");
+    assert!(diagnosis["verdicts"][0]["p_adjusted"].as_f64().unwrap() < 0.05);
+    assert_eq!(accepted(&diagnosis), Vec::<Vec<&str>>::new());
+    assert_eq!(diagnosis["at_floor"], false);
+}
+
+/// A magnet that passes within one block of time: blocks drawn without it say nothing of its field.
+#[test]
+fn a_short_passage_of_a_magnet_is_found_without_a_standard_error() {
+    let passing = CampaignCopy::of("clean").change(&[2], "hall.csv", |cells: &mut CsvTable| {
+        for sensor in 0..4 {
+            for (axis, gauss) in [("x", 3.0), ("y", -2.0), ("z", 4.0)] {
+                cells.change(&format!("s{sensor}_{axis}_lsb"), |row, counts| {
+                    // Rows each millisecond; 0.125 G per count.
+                    let widths = (row as f64 - 7500.0) / 400.0;
+                    let added = gauss * (1.0 + widths * widths).powf(-2.5) / 0.125;
+                    (counts + added).round().to_string()
+                });
+            }
+        }
+    });
+    let diagnosis = diagnosed(&passing.path());
+    assert_eq!(accepted(&diagnosis), [["external_magnet"]]);
+    assert_eq!(diagnosis["at_floor"], true);
+    let found = &diagnosis["verdicts"][0];
+    // The root of 9 + 4 + 16.
+    assert!((found["value"].as_f64().unwrap() - 5.385).abs() < 0.3, "{found}");
+    assert_eq!(found["std_error"], Value::Null);
+}

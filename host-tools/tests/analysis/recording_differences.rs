@@ -78,6 +78,50 @@ fn zeros_of_the_reference_are_found_and_corrected() {
     assert_nothing_else(&again);
 }
 
+/// Zeros that a drift explains as much, to first order, and less in a fit.
+#[test]
+fn zeros_that_jump_are_no_drift() {
+    let shifts = [(3, "f0_x_n", -1.0), (2, "f0_z_n", 0.8), (3, "f0_z_n", 0.2)];
+    let spoilt = shifted("clean", "force.csv", &shifts);
+    let diagnosis = diagnosed(&WorkDir::empty(), &spoilt.path().display().to_string());
+    let message = difference(&diagnosis).expect("a finding");
+    for part in ["f0_x_n by -", "f0_z_n by +0.", "no effect of the catalogue explains as much"] {
+        assert!(message.contains(part), "{part}: {message}");
+    }
+    assert_nothing_else(&diagnosis);
+}
+
+/// Causes with which the first verdict is tied.
+fn tied_with(diagnosis: &Value) -> Vec<&str> {
+    let tied = diagnosis["verdicts"][0]["tied_with"].as_array().unwrap();
+    tied.iter().filter_map(Value::as_str).collect()
+}
+
+#[test]
+fn zeros_that_rise_evenly_are_tied_with_a_drift() {
+    let shifts = [(2, "f0_x_n", 0.6), (3, "f0_x_n", 1.1), (2, "f0_z_n", -0.3), (3, "f0_z_n", -0.7)];
+    let spoilt = shifted("clean", "force.csv", &shifts);
+    let diagnosis = diagnosed(&WorkDir::empty(), &spoilt.path().display().to_string());
+    let message = difference(&diagnosis).expect("a finding");
+    assert!(message.contains("reference_drift explain as much"), "{message}");
+    assert_eq!(diagnosis["verdicts"][0]["verdict"], "tied");
+    assert!(tied_with(&diagnosis).contains(&"the zero of the reference"), "{message}");
+}
+
+/// A drift of a few of its noise floors differs little from an offset of each recording.
+#[test]
+fn a_drift_is_found_or_tied_with_an_offset_of_the_recordings() {
+    let dir = WorkDir::empty();
+    for (magnitude, is_tied) in [("3", false), ("0.6", true)] {
+        let campaign = format!("drift-{magnitude}");
+        dir.stdout(&format!("simulate -o {campaign} --effect field_drift={magnitude} --sensors 1"));
+        let diagnosis = diagnosed(&dir, &campaign);
+        assert_eq!(diagnosis["verdicts"][0]["effect"], "field_drift", "{magnitude}");
+        let tied = tied_with(&diagnosis).contains(&"the offset of the field");
+        assert_eq!((tied, difference(&diagnosis).is_some()), (is_tied, is_tied), "{magnitude}");
+    }
+}
+
 #[test]
 fn a_polynomial_has_no_place_of_a_magnet() {
     let spoilt = shifted("clean", "force.csv", &[(2, "f0_x_n", 4.0)]);

@@ -56,6 +56,15 @@ pub enum DifferenceCause {
 impl DifferenceCause {
     const ALL: [Self; 3] = [Self::ReferenceZero, Self::FieldZero, Self::MagnetPlace];
 
+    /// As a noun.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::ReferenceZero => "the zero of the reference",
+            Self::FieldZero => "the offset of the field",
+            Self::MagnetPlace => "the place of the magnet",
+        }
+    }
+
     /// Unit of the coefficients.
     pub const fn unit(self) -> &'static str {
         match self {
@@ -103,6 +112,8 @@ pub struct RecordingDifference {
     pub differences: Vec<Difference>,
     /// Other causes that explain as much.
     pub equivalent: Vec<DifferenceCause>,
+    /// Places of the candidates that explain as much.
+    pub candidates: Vec<usize>,
     /// Residual without and with it, in noise floors.
     pub floors: [f64; 2],
 }
@@ -263,7 +274,8 @@ struct Tried {
 }
 
 /// Causes by which the recordings differ, the largest first, next to a model with these effects at these values of the sensors'
-/// parameters. The candidates are scored next to the same model: what one of them explains as well is not attributed to a cause.
+/// parameters. The candidates are scored next to the same model. What one of them explains as well is attributed to a cause only where
+/// there is no other, and ends the list.
 pub fn recording_differences(
     setup: &FitSetup,
     effects: &[EffectTerm],
@@ -286,8 +298,14 @@ pub fn recording_differences(
         return Vec::new();
     }
     let mut found: Vec<RecordingDifference> = Vec::new();
-    while let Some((next, columns)) = largest(&sensors, &found) {
-        if candidates.par_iter().any(|candidate| explains(&sensors, &columns, candidate)) {
+    while let Some((mut next, columns)) = largest(&sensors, &found) {
+        let places = (0..candidates.len()).into_par_iter();
+        next.candidates =
+            places.filter(|&place| explains(&sensors, &columns, &candidates[place])).collect();
+        if !next.candidates.is_empty() {
+            if found.is_empty() {
+                found.push(next);
+            }
             break;
         }
         for (sensor, columns) in sensors.iter_mut().zip(columns) {
@@ -360,6 +378,8 @@ fn explains(sensors: &[Sensor], columns: &[DMatrix<f64>], candidate: &CandidateS
         }
     }
     let [neither, cause, other, both] = squares;
+    // The floor may be too high: there is no more noise than both leave.
+    let noise = both.min(noise);
     let left = |squares: f64| (squares - noise).max(NEGLIGIBLE * noise);
     other - both <= SHARED * (neither - cause) && left(other) <= AS_GOOD * left(cause)
 }
@@ -417,6 +437,7 @@ fn largest(
             .flat_map(|(sensor, tried)| sensor.differences(cause, tried))
             .collect(),
         equivalent: tried.map(|(cause, ..)| cause).collect(),
+        candidates: Vec::new(),
         floors: [before, left + entries].map(|squares| (squares / entries).max(0.0).sqrt()),
     };
     Some((difference, best.into_iter().map(|tried| tried.columns).collect()))

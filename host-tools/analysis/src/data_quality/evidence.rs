@@ -266,6 +266,8 @@ pub enum Evidence {
         offsets: Vec<RecordingOffset>,
         /// Causes that explain as much.
         equivalent: Vec<DifferenceCause>,
+        /// Effects that explain as much.
+        effects: Vec<String>,
         /// Residual without and with it, in noise floors, on rows that the regression did not use.
         floors: [f64; 2],
     },

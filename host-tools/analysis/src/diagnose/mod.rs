@@ -38,8 +38,8 @@ use crate::diagnose::recording_plan::{RecordingProposal, propose};
 use crate::diagnose::remaining_structure::RemainingStructure;
 pub use crate::diagnose::residuals::EffectShape;
 use crate::diagnose::residuals::{residuals_against, shapes};
+use crate::diagnose::selection::{DISTINGUISHABLE, FittedModel, Selection, WorstAxis};
 pub use crate::diagnose::selection::{DropReason, DroppedStep};
-use crate::diagnose::selection::{FittedModel, Selection, WorstAxis};
 pub use crate::diagnose::suggestions::{Suggestion, SuggestionKind};
 use crate::diagnose::verdicts::conclude;
 use crate::noise_floor::NoiseSummary;
@@ -339,6 +339,13 @@ impl Diagnosis {
         self.equivalent_formulas.push(simpler.formula);
     }
 
+    /// Whether an effect is present, or equivalent to one that is.
+    fn has_accepted(&self, effect: &EffectTerm) -> bool {
+        let is_accepted =
+            |one: &Verdict| matches!(one.kind, VerdictKind::Found | VerdictKind::Tied);
+        self.verdicts.iter().any(|one| one.effect == effect.name() && is_accepted(one))
+    }
+
     /// An accepted effect is equivalent to these causes.
     fn set_tied(&mut self, effect: &EffectTerm, causes: &[String]) {
         if causes.is_empty() {
@@ -500,6 +507,7 @@ pub fn diagnose(
     observer.begin();
     let mut campaign = Cow::Borrowed(campaign);
     let mut differences: Option<Differences> = None;
+    let mut contested: Option<recording_differences::Found> = None;
     let present: Vec<EffectTerm> = model.effect_terms(path)?;
     // Next to the model, and next to what was found to be missing from it.
     let mut is_corrected =
@@ -510,9 +518,13 @@ pub fn diagnose(
             observer.stage("comparing recordings", DIFFERENCES);
             // All recordings, of many with a sample of the rows of each.
             let found = recording_differences::find(campaign, model, (setup, fitted), options);
-            let Some((found, corrected)) = found else { return false };
-            differences = Some(found);
-            *campaign = Cow::Owned(corrected);
+            let Some(found) = found else { return false };
+            if !found.rivals.is_empty() {
+                contested.get_or_insert(found);
+                return false;
+            }
+            differences = Some(found.differences);
+            *campaign = Cow::Owned(found.corrected);
             true
         };
     let mut prepared = model.fit_setup(&campaign, options)?;
@@ -537,6 +549,25 @@ pub fn diagnose(
         prepared = model.fit_setup(&campaign, options)?;
         sample = prepared.sampled_by_fold(SEARCH_ROWS);
         selection = select(&campaign, &sample, &prepared)?;
+    }
+    // Effects explain as much to first order: the fits decide.
+    let mut tied_difference = None;
+    if let Some(mut found) = contested
+        && differences.is_none()
+        && let Some(last) = selection.stages.last()
+    {
+        let corrected = model.fit_setup(&found.corrected, options)?;
+        let sampled = corrected.sampled_by_fold(SEARCH_ROWS);
+        let without = FittedModel::without_validation(&sampled, present.clone(), options)?;
+        if without.is_better_fit(recording_differences::CLEAR, last) {
+            found.differences.set_uncontested();
+            differences = Some(found.differences);
+            campaign = Cow::Owned(found.corrected);
+            (prepared, sample) = (corrected, sampled);
+            selection = select(&campaign, &sample, &prepared)?;
+        } else if !last.is_better_fit(DISTINGUISHABLE, &without) {
+            tied_difference = Some(found);
+        }
     }
     let campaign = &*campaign;
     let (first, last) = (selection.stages.first().cloned(), selection.stages.last().cloned());
@@ -597,6 +628,12 @@ pub fn diagnose(
             diagnosis.set_equivalent_drifts(effect, &drifts);
         }
     }
+    if let Some(found) = &mut tied_difference {
+        found.rivals.retain(|rival| diagnosis.has_accepted(rival));
+        for rival in &found.rivals {
+            diagnosis.set_tied(rival, &found.differences.causes());
+        }
+    }
     diagnosis.noise = NoiseSummary::of(campaign.recordings.iter().map(|one| &one.noise));
     diagnosis.at_floor &= diagnosis.noise.disagreement.is_none();
     let last = selection.stages.last();
@@ -642,7 +679,10 @@ pub fn diagnose(
     diagnosis.formulas = formulas;
     // The fit is that of a comparison where it is of the recordings as they are.
     let is_as_recorded = differences.is_none();
-    diagnosis.findings = differences.map_or_else(Vec::new, |found| found.findings);
+    let tied_difference = tied_difference.filter(|found| !found.rivals.is_empty());
+    let tied_difference = tied_difference.map(|found| found.differences);
+    diagnosis.findings =
+        differences.or(tied_difference).map_or_else(Vec::new, |found| found.findings);
     // The effects were sought on the recordings with the differences of a place that does not explain all: those that explain more
     // are the likelier cause.
     let last = selection.stages.last();

@@ -29,6 +29,8 @@ pub const ID: &str = "recording_difference";
 
 /// Length in seconds of the blocks of the effects' score test, whose significance is not used.
 const BLOCK_S: f64 = 1.0;
+/// Fraction by which the squared error with a difference must be lower than with effects, for it to be the cause instead of them.
+pub const CLEAR: f64 = 0.02;
 
 /// What differs between the recordings of a campaign.
 pub struct Differences {
@@ -44,30 +46,58 @@ pub fn explains_all([_, with]: [f64; 2]) -> bool {
     with <= AT_FLOOR
 }
 
-/// Differences of a campaign's recordings that no effect of the catalogue missing from `fitted` makes, and the campaign without those
-/// of a zero, and of a place that explains all; `None` where there are none, or where the model does not fit the campaign better
-/// without them. `setup` has its rows, `model` is the file with the base of `fitted`.
+impl Differences {
+    /// Names of what differs.
+    pub fn causes(&self) -> Vec<String> {
+        let causes = self.findings.iter().filter_map(|finding| match &finding.evidence {
+            Evidence::RecordingDifference { cause, .. } => Some(cause.name().to_owned()),
+            _ => None,
+        });
+        causes.collect()
+    }
+
+    /// The fits showed that no effect explains as much.
+    pub fn set_uncontested(&mut self) {
+        for finding in &mut self.findings {
+            if let Evidence::RecordingDifference { effects, .. } = &mut finding.evidence {
+                effects.clear();
+            }
+        }
+    }
+}
+
+/// Differences, and the campaign without them.
+pub struct Found {
+    /// The differences.
+    pub differences: Differences,
+    /// The campaign without those of a zero, and of a place that explains all.
+    pub corrected: Campaign,
+    /// Effects that explain as much as the differences do.
+    pub rivals: Vec<EffectTerm>,
+}
+
+/// Differences of a campaign's recordings next to `fitted`; `None` where there are none, or where the model does not fit the campaign
+/// better without them. `setup` has its rows, `model` is the file with the base of `fitted`.
 pub fn find(
     campaign: &Campaign,
     model: &ModelFile,
     (setup, fitted): (&FitSetup, &FittedModel),
     options: FitOptions,
-) -> Option<(Differences, Campaign)> {
+) -> Option<Found> {
     let values: Vec<Vec<f64>> =
         fitted.fit.sensors.iter().map(|sensor| sensor.values.clone()).collect();
     let (testable, _) = candidates(campaign, Some(model), &fitted.effects, &[]);
     let sample = setup.sampled(SEARCH_ROWS);
     let around = ScoreTest::new(&sample, &fitted.effects, &fitted.fit, BLOCK_S);
     // An event at an instant has more coefficients than the difference, and says less.
-    let scores: Vec<CandidateScore> = testable
+    let (scored, scores): (Vec<&EffectTerm>, Vec<CandidateScore>) = testable
         .par_iter()
         .filter(|candidate| !candidate.is_event())
-        .filter_map(|candidate| around.score(candidate))
-        .collect();
+        .filter_map(|candidate| Some((candidate, around.score(candidate)?)))
+        .unzip();
     let found = recording_differences(&sample, &fitted.effects, &values, &scores);
-    if found.is_empty() {
-        return None;
-    }
+    let rivals: Vec<EffectTerm> =
+        found.first()?.candidates.iter().map(|&place| scored[place].clone()).collect();
     let offsets = offsets(&found, setup, campaign.recordings.len());
     let mut corrected = campaign.clone();
     corrected.recordings.iter_mut().zip(&offsets).for_each(|(one, of)| correct(one, of));
@@ -78,7 +108,12 @@ pub fn find(
     for change in place.iter().flat_map(|one| place_changes(setup, &fitted.effects, &values, one)) {
         move_magnet(&mut corrected.recordings[change.recording], &change);
     }
-    if place.is_some() || offsets.iter().any(|of_recording| !of_recording.is_empty()) {
+    let is_corrected =
+        place.is_some() || offsets.iter().any(|of_recording| !of_recording.is_empty());
+    if !is_corrected && !rivals.is_empty() {
+        return None;
+    }
+    if is_corrected {
         let without = model.fit_setup(&corrected, options).ok()?.sampled(SEARCH_ROWS);
         let error = |setup: &FitSetup| {
             let fit = FittedModel::without_validation(setup, fitted.effects.clone(), options);
@@ -88,8 +123,8 @@ pub fn find(
             return None;
         }
     }
-    let findings = found.iter().map(|one| finding(campaign, one)).collect();
-    Some((Differences { findings, offsets }, corrected))
+    let findings = found.iter().map(|one| finding(campaign, one, &rivals)).collect();
+    Some(Found { differences: Differences { findings, offsets }, corrected, rivals })
 }
 
 /// Findings of [`find`] next to a model, which is fitted to a sample of the campaign's rows; none where these do not determine it.
@@ -105,7 +140,8 @@ pub fn next_to(
         let fitted = FittedModel::without_validation(&sample, effects, options).ok()?;
         find(campaign, model, (&setup, &fitted), options)
     });
-    found.map_or_else(Vec::new, |(found, _)| found.findings)
+    let found = found.filter(|found| found.rivals.is_empty());
+    found.map_or_else(Vec::new, |found| found.differences.findings)
 }
 
 /// Offsets of each recording; the place of a magnet is none.
@@ -163,7 +199,11 @@ fn move_magnet(recording: &mut Recording, change: &PlaceChange) {
     }
 }
 
-fn finding(campaign: &Campaign, difference: &RecordingDifference) -> Finding {
+fn finding(
+    campaign: &Campaign,
+    difference: &RecordingDifference,
+    rivals: &[EffectTerm],
+) -> Finding {
     let RecordingDifference { cause, differences, equivalent, floors, .. } = difference;
     let offsets = differences.iter().map(|one| RecordingOffset {
         recording: campaign.recordings[one.recording].name.clone(),
@@ -192,6 +232,7 @@ fn finding(campaign: &Campaign, difference: &RecordingDifference) -> Finding {
             unit: cause.unit(),
             offsets: offsets.collect(),
             equivalent: equivalent.clone(),
+            effects: rivals.iter().map(|rival| rival.name().to_owned()).collect(),
             floors: *floors,
         },
         stops: false,

@@ -247,8 +247,16 @@ pub fn message(finding: &Finding) -> String {
         Evidence::ClockOffsets { offsets, share, delay_ms } => {
             clock_offsets(offsets, *share, *delay_ms, finding.fix.is_some())
         }
-        Evidence::RecordingDifference { cause, reference, unit, offsets, equivalent, floors } => {
-            let what = difference_name(*cause);
+        Evidence::RecordingDifference {
+            cause,
+            reference,
+            unit,
+            offsets,
+            equivalent,
+            effects,
+            floors,
+        } => {
+            let what = cause.name();
             let offsets = offsets.iter().map(|one| {
                 let RecordingOffset { recording, quantity, value, std_error } = one;
                 let sign = if *value > 0.0 { "+" } else { "" };
@@ -259,17 +267,24 @@ pub fn message(finding: &Finding) -> String {
                 [] => String::new(),
                 others => format!(
                     " On these recordings {} {} as much.",
-                    list(others.iter().map(|other| difference_name(*other))),
+                    list(others.iter().map(|other| other.name())),
                     if others.len() == 1 { "explains" } else { "explain" }
                 ),
             };
             format!(
-                "{what} differs between the recordings. Against recording {reference}: {}. The residual falls from {:.2} to {:.2} noise floors with it, and no effect of the catalogue explains as much.{or} {}. `diagnose` {}",
+                "{what} differs between the recordings. Against recording {reference}: {}. The residual falls from {:.2} to {:.2} noise floors with it, and {}.{or} {}. `diagnose` {}",
                 list(offsets),
                 floors[0],
                 floors[1],
+                match effects.as_slice() {
+                    [] => "no effect of the catalogue explains as much".to_owned(),
+                    [effect] => format!("{effect} explains as much"),
+                    effects => format!("{} explain as much", list(effects)),
+                },
                 difference_advice(*cause),
                 match cause {
+                    _ if !effects.is_empty() =>
+                        "searches for effects on the recordings as they are",
                     DifferenceCause::MagnetPlace if !explains_all(*floors) =>
                         "searches for effects on the recordings as they are",
                     _ => "searches for effects on the recordings without it",
@@ -329,15 +344,6 @@ pub fn fix(fix: &Fix) -> String {
         }
         FixKind::Unwrap => "adds the range of the counts to the values that wrapped".to_owned(),
         FixKind::ReorderColumns => "restores the order of the columns".to_owned(),
-    }
-}
-
-/// What differs between recordings.
-const fn difference_name(cause: DifferenceCause) -> &'static str {
-    match cause {
-        DifferenceCause::ReferenceZero => "the zero of the reference",
-        DifferenceCause::FieldZero => "the offset of the field",
-        DifferenceCause::MagnetPlace => "the place of the magnet",
     }
 }
 
