@@ -353,3 +353,38 @@ fn a_short_passage_of_a_magnet_is_found_without_a_standard_error() {
     assert!((found["value"].as_f64().unwrap() - 5.385).abs() < 0.3, "{found}");
     assert_eq!(found["std_error"], Value::Null);
 }
+
+/// The smooth of a recording of 300 rows does not follow the field, but that of all of them does; samples of a moment and means over
+/// the period need different windows.
+#[test]
+fn a_reference_of_10_hz_has_the_floor_of_its_noise() {
+    for is_mean in [false, true] {
+        let dir = WorkDir::empty();
+        dir.stdout("simulate -o campaign --sensors 1 --seed 3");
+        for recording in 1..=3 {
+            let folder = dir.path("campaign").join(recording.to_string());
+            let mut cells = CsvTable::read(&folder.join("force.csv.gz"));
+            let columns = cells.header.len();
+            let of_ten = |ten: &[Vec<String>]| -> Vec<String> {
+                let mean = |column: usize| {
+                    let values = ten.iter().map(|row| row[column].parse::<f64>().unwrap());
+                    (values.sum::<f64>() / ten.len() as f64).to_string()
+                };
+                if is_mean { (0..columns).map(mean).collect() } else { ten[0].clone() }
+            };
+            cells.rows = cells.rows.chunks_exact(10).map(of_ten).collect();
+            std::fs::remove_file(folder.join("force.csv.gz")).unwrap();
+            cells.write(&folder, "force.csv");
+        }
+        let diagnosis = diagnosed(&dir.path("campaign"));
+        assert_eq!(accepted(&diagnosis), Vec::<Vec<&str>>::new(), "{is_mean}");
+        let only = &diagnosis["staircase"][0];
+        let [held_out_g, floor_g] =
+            ["held_out_rms_g", "floor_g"].map(|key| only[key].as_f64().unwrap());
+        // The mean of the field is not the field at the mean of the force: 0.04 G here.
+        let most = if is_mean { 1.3 } else { 1.1 };
+        assert!((0.9..most).contains(&(held_out_g / floor_g)), "{is_mean}: {only}");
+        assert_eq!(diagnosis["noise"]["jitter_ms"], Value::Null);
+        assert_eq!(diagnosis["at_floor"], true);
+    }
+}

@@ -64,7 +64,7 @@ const CAMPAIGNS: [Expected; 18] = [
 
 /// Drifts that explain the same as the effect of a campaign.
 const DRIFTS: [(&str, &[&str]); 2] =
-    [("step-of-remanence", &[]), ("swollen-gap", &["a drift of dy_um"])];
+    [("step-of-remanence", &[]), ("swollen-gap", &["a drift of dy_um", "the place of the magnet"])];
 
 /// Coefficient of the planar Hall effect in these campaigns, in percent per newton (sensor 0).
 const PLANAR_HALL: f64 = 0.0141;

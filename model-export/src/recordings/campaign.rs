@@ -10,7 +10,7 @@ use crate::recordings::align::Alignment;
 use crate::recordings::description::{NominalDesign, RECORDING_FILE};
 use crate::recordings::error::{DataError, ErrorKind, Location, Notice};
 use crate::recordings::in_order;
-use crate::recordings::recording::{Recording, recording_name};
+use crate::recordings::recording::{Recording, RecordingWindows, recording_name};
 use crate::recordings::repeated_settings;
 
 /// All recordings of one gripper in order of their start.
@@ -32,18 +32,20 @@ impl Campaign {
     ) -> Result<Self, DataError> {
         let folders = recording_folders(folder)?;
         let mut recordings = in_order(folders.par_iter().map(|folder| {
-            let recording = Recording::read(folder, alignment)?;
-            progress(&recording.name);
+            let recording = RecordingWindows::read(folder, alignment)?;
+            progress(&recording.wide.name);
             Ok::<_, DataError>(recording)
         }))?;
-        recordings.sort_by(|a, b| a.description.start_s.total_cmp(&b.description.start_s));
+        recordings
+            .sort_by(|a, b| a.wide.description.start_s.total_cmp(&b.wide.description.start_s));
         let campaign = Self::of(folder.to_path_buf(), recordings);
         campaign.check_same_gripper()?;
         Ok(campaign)
     }
 
     /// All recordings of a folder, in order of their start.
-    pub fn of(folder: PathBuf, mut recordings: Vec<Recording>) -> Self {
+    pub fn of(folder: PathBuf, recordings: Vec<RecordingWindows>) -> Self {
+        let mut recordings = RecordingWindows::better(recordings);
         repeated_settings::between(&mut recordings);
         Self { folder, recordings }
     }

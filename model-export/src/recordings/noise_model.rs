@@ -13,7 +13,7 @@ use serde::Serialize;
 
 use crate::recordings::Recording;
 use crate::recordings::columns::{Axis, SignalUnit};
-use crate::recordings::smooth_field::{MAX_TERMS, SmoothField};
+use crate::recordings::smooth_field::{MAX_TERMS, ROWS_PER_TERM, SmoothField};
 
 /// Estimator of the noise of a recording.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -63,6 +63,9 @@ pub struct NoiseEstimate {
     pub estimator: NoiseEstimator,
     /// Noise floor by each estimator that applies: root mean square over rows, axes and sensors in gauss.
     pub floors_g: Vec<(NoiseEstimator, f64)>,
+    /// What the smooths leave of the field: root mean square over rows, axes and sensors in gauss; zero without one. Unlike the floors, it
+    /// holds what is as slow as the load.
+    pub smooth_g: f64,
     /// Floor in the rows in which the load moves least, by their raw differences and by the estimator that is used, in gauss.
     pub quiet_g: Option<[f64; 2]>,
     /// Whether the raw differences hold the motion of the load: they are then no estimate of the noise.
@@ -79,6 +82,35 @@ pub struct NoiseEstimate {
     pub correlation_s: f64,
     /// Rows between independent samples of the slower table: more than one where it was held or interpolated.
     pub sample_rows: usize,
+    /// Noise that it replaced: that of the raw differences.
+    pub(super) raw: Option<RawNoise>,
+}
+
+/// Noise by raw differences.
+#[derive(Clone, Debug, Default)]
+pub(super) struct RawNoise {
+    /// Of one board row in gauss, by sensor.
+    field_g: BTreeMap<u32, [f64; 3]>,
+    /// Of one row in newtons.
+    forces_n: BTreeMap<(u32, Axis), f64>,
+}
+
+impl RawNoise {
+    fn of(recording: &Recording) -> Self {
+        Self {
+            field_g: recording.sensors.iter().map(|(key, sensor)| (*key, sensor.noise_g)).collect(),
+            forces_n: recording.forces.iter().map(|(key, force)| (*key, force.noise_n)).collect(),
+        }
+    }
+
+    fn restore(&self, recording: &mut Recording) {
+        for (key, noise_g) in &self.field_g {
+            recording.sensors.entry(*key).and_modify(|sensor| sensor.noise_g = *noise_g);
+        }
+        for (key, noise_n) in &self.forces_n {
+            recording.forces.entry(*key).and_modify(|force| force.noise_n = *noise_n);
+        }
+    }
 }
 
 impl NoiseEstimate {
@@ -101,6 +133,10 @@ const FOLLOWS_SETTINGS: f64 = 0.3;
 const CUT_OFF: f64 = 16.0;
 /// Share of the variance, and standard errors, from which jitter of the clock is significant.
 const MIN_JITTER: (f64, f64) = (0.05, 4.0);
+/// Ratio of two estimates of the clock's variance up to which they are the same.
+const SAME_CLOCK: f64 = 1.5;
+/// Number of limits of the clock's variance, each by the variances that the one before left to the others.
+const LIMITED: usize = 4;
 /// Board rows in an averaging window from which the board's own differences hold no motion of the load.
 const DENSE_ROWS: f64 = 5.0;
 /// Minimum number of rows of the estimators by differences.
@@ -227,14 +263,37 @@ impl SensorNoise {
         self.squares.iter().map(cut).sum::<f64>() / self.squares.len().max(1) as f64
     }
 
-    /// Splits the squares into variances by non-negative least squares: each at most that of the raw differences, and the field's own
-    /// as it is where the board's rows are dense.
-    fn split(&mut self, with_clock: bool) {
+    /// The clock's variance with which the variances of all rows add up to the squares: that of jitter, whose effect in the fastest rows
+    /// is as large as the others say. The motion of a load that moves between the rows is bounded, and this then smaller.
+    fn clock_by_sum(&self) -> f64 {
+        let white = Variances { clock: 0.0, ..self.adjusted.clone() };
+        let beyond = self.squares.iter().map(|one| (one.square - one.variance(&white)).sum());
+        let rates2: f64 = self.squares.iter().map(|one| one.rate2.sum()).sum();
+        (beyond.sum::<f64>() / rates2.max(f64::MIN_POSITIVE)).max(0.0)
+    }
+
+    /// Splits the squares into variances; with that of the clock, at most what all rows allow.
+    fn split_with_clock(&mut self) {
+        self.split(Some(f64::INFINITY));
+        for _ in 0..LIMITED {
+            let limit = self.clock_by_sum();
+            if self.adjusted.clock <= SAME_CLOCK * limit {
+                return;
+            }
+            self.split(Some(limit));
+        }
+    }
+
+    /// Splits the squares into variances by non-negative least squares: each at most that of the raw differences, the field's own
+    /// as it is where the board's rows are dense. `clock`: limit of that of the clock; none without one.
+    fn split(&mut self, clock: Option<f64>) {
+        let with_clock = clock.is_some();
         let forces = self.plain.forces.len();
         let (first, count) = (3, 3 + forces + usize::from(with_clock));
-        let mut limit = vec![f64::INFINITY; count];
+        let mut limit = vec![f64::INFINITY; first + forces];
         (0..3).for_each(|axis| limit[axis] = self.plain.field[axis]);
         (0..forces).for_each(|force| limit[first + force] = self.plain.forces[force]);
+        limit.extend(clock);
         self.adjusted = Variances { clock: 0.0, ..self.plain.clone() };
         for _ in 0..8 {
             let mut normal = DMatrix::<f64>::zeros(count, count);
@@ -302,18 +361,29 @@ impl NoiseEstimate {
         }
         let correlation_s = smooths.iter().map(|(_, smooth)| smooth.correlation_s(recording));
         let correlation_s = correlation_s.fold(0.0, f64::max);
+        let smooth_g = left_g(smooths.iter().map(|(_, smooth)| smooth));
         let mut covariates: Vec<String> =
             smooths.iter().flat_map(|(_, smooth)| smooth.covariates.clone()).collect();
         covariates.sort();
         covariates.dedup();
         if smooths.iter().all(|(_, smooth)| is_shuffled(recording, smooth)) {
-            return Self { correlation_s, covariates, ..Self::by_smooth(recording, &smooths) };
+            return Self {
+                correlation_s,
+                smooth_g,
+                covariates,
+                ..Self::by_smooth(recording, &smooths)
+            };
         }
         let sensors: Vec<SensorNoise> = smooths
             .into_iter()
             .map(|(sensor, smooth)| differences(recording, sensor, smooth, step))
             .collect();
-        Self { correlation_s, covariates, ..Self::by_differences(recording, sensors, step) }
+        Self {
+            correlation_s,
+            smooth_g,
+            covariates,
+            ..Self::by_differences(recording, sensors, step)
+        }
     }
 
     fn by_smooth(recording: &mut Recording, smooths: &[(u32, SmoothField)]) -> Self {
@@ -339,7 +409,7 @@ impl NoiseEstimate {
         step: usize,
     ) -> Self {
         // One clock has one jitter: the mean over the sensors, weighted by their precision.
-        sensors.iter_mut().for_each(|sensor| sensor.split(true));
+        sensors.iter_mut().for_each(SensorNoise::split_with_clock);
         let weight = |sensor: &SensorNoise| 1.0 / sensor.clock_error.powi(2).max(1e-30);
         let weights: f64 = sensors.iter().map(weight).sum();
         let clock = sensors.iter().map(|s| s.adjusted.clock * weight(s)).sum::<f64>() / weights;
@@ -358,7 +428,7 @@ impl NoiseEstimate {
         let has_clock = !recording.description.is_clock_assumed();
         let is_jitter = has_clock && jitter2 > MIN_JITTER.0 * all2 && errors > MIN_JITTER.1;
         if !is_jitter {
-            sensors.iter_mut().for_each(|sensor| sensor.split(false));
+            sensors.iter_mut().for_each(|sensor| sensor.split(None));
         }
         let floors = |of: fn(&SensorNoise) -> f64| {
             let floors2: Vec<f64> = sensors.iter().map(of).collect();
@@ -393,15 +463,87 @@ impl NoiseEstimate {
                     estimate.precision.insert(one.sensor, precision);
                 }
             }
+            estimate.raw = Some(RawNoise::of(recording));
             apply(recording, &sensors);
         }
         estimate
+    }
+
+    /// Estimates the noise of recordings of few rows again, by a smooth through all recordings of a campaign: one of few terms does not
+    /// follow the field, and what it leaves grows with the rate of the load, as by jitter.
+    pub fn estimate_together(recordings: &mut [Recording]) {
+        let is_short = |one: &Recording| {
+            let is_by_differences = !one.noise.floors_g.is_empty()
+                && matches!(
+                    one.noise.estimator,
+                    NoiseEstimator::Differences | NoiseEstimator::ResidualDifferences
+                );
+            is_by_differences && one.time_s.len() < MAX_TERMS * ROWS_PER_TERM
+        };
+        if recordings.len() < 2 || !recordings.iter().any(is_short) {
+            return;
+        }
+        let numbers: Vec<u32> = recordings[0].sensors.keys().copied().collect();
+        let smooths: Option<Vec<Vec<SmoothField>>> = numbers
+            .iter()
+            .map(|sensor| SmoothField::through(recordings, *sensor, MAX_TERMS))
+            .collect();
+        let Some(smooths) = smooths else { return };
+        let mut of_sensors: Vec<_> = smooths.into_iter().map(Vec::into_iter).collect();
+        for recording in recordings {
+            let smooths: Vec<SmoothField> =
+                of_sensors.iter_mut().filter_map(Iterator::next).collect();
+            let step = recording.noise.sample_rows;
+            if is_short(recording)
+                && smooths.iter().all(|smooth| smooth.rows.len() >= MIN_ROWS.max(12 * step))
+            {
+                Self::estimate_again(recording, &numbers, smooths);
+            }
+        }
+    }
+
+    /// By these smooths of the sensors, where the floor is lower by them.
+    fn estimate_again(recording: &mut Recording, numbers: &[u32], smooths: Vec<SmoothField>) {
+        let before = RawNoise::of(recording);
+        if let Some(raw) = recording.noise.raw.clone() {
+            raw.restore(recording);
+        }
+        let correlation_s = smooths.iter().map(|smooth| smooth.correlation_s(recording));
+        let correlation_s = correlation_s.fold(0.0, f64::max);
+        let step = recording.noise.sample_rows;
+        let smooth_g = left_g(smooths.iter());
+        let sensors = numbers.iter().zip(smooths);
+        let sensors =
+            sensors.map(|(sensor, smooth)| differences(recording, *sensor, smooth, step)).collect();
+        let old = &recording.noise;
+        let (unit, covariates) = (old.unit, old.covariates.clone());
+        let again = Self {
+            unit,
+            smooth_g,
+            correlation_s,
+            covariates,
+            ..Self::by_differences(recording, sensors, step)
+        };
+        let floor_g = |of: &Self| of.floor_g().unwrap_or(f64::INFINITY);
+        if floor_g(&again) < floor_g(&recording.noise) {
+            recording.noise = again;
+        } else {
+            before.restore(recording);
+            recording.noise.smooth_g = smooth_g;
+        }
     }
 
     /// Floor by the estimator that is used, in gauss.
     pub fn floor_g(&self) -> Option<f64> {
         self.floors_g.iter().find(|(of, _)| *of == self.estimator).map(|(_, floor_g)| *floor_g)
     }
+}
+
+/// Root mean square of what smooths leave, in gauss.
+fn left_g<'a>(smooths: impl Iterator<Item = &'a SmoothField>) -> f64 {
+    let squares: Vec<f64> =
+        smooths.map(|smooth| smooth.deviation_g().norm_squared() / 3.0).collect();
+    root_mean(&squares).unwrap_or(f64::NAN)
 }
 
 /// Root of the mean of squares.

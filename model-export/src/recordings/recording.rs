@@ -121,18 +121,59 @@ impl Bend {
     }
 }
 
-impl Recording {
-    /// Reads the recording in `folder`. The rows of a slow reference may be means over its period or samples of a moment: the field is
-    /// averaged over that of two windows which leaves less of it.
+/// A recording averaged over windows of two widths: the rows of a slow reference may be means over its period or samples of a moment.
+pub struct RecordingWindows {
+    /// Over the period of the reference.
+    pub wide: Recording,
+    /// Over a part of it; `None` for a fast reference.
+    pub narrow: Option<Recording>,
+}
+
+impl RecordingWindows {
+    /// Reads the recording in `folder`.
+    ///
+    /// # Errors
+    /// It is no recording, or damaged.
     pub fn read(folder: &Path, alignment: Alignment) -> Result<Self, DataError> {
-        let wide = Self::read_averaged(folder, alignment, 1.0)?;
-        if wide.half_width_s < SLOW_S || wide.noise_gain.powi(-2) < DENSE_ROWS {
-            return Ok(wide);
+        let wide = Recording::read_averaged(folder, alignment, 1.0)?;
+        let is_slow = wide.half_width_s >= SLOW_S && wide.noise_gain.powi(-2) >= DENSE_ROWS;
+        let narrow = is_slow.then(|| Recording::read_averaged(folder, alignment, NARROW));
+        Ok(Self { wide, narrow: narrow.transpose()? })
+    }
+
+    /// With its known SHA-256.
+    pub fn with_sha256(self, sha256: &str) -> Self {
+        Self {
+            wide: self.wide.with_sha256(sha256),
+            narrow: self.narrow.map(|narrow| narrow.with_sha256(sha256)),
         }
-        let narrow = Self::read_averaged(folder, alignment, NARROW)?;
-        let left_g = |one: &Self| one.noise.floor_g().unwrap_or(f64::INFINITY);
-        let is_better = left_g(&narrow) < CLEARLY_LESS * left_g(&wide);
-        Ok(if is_better { narrow } else { wide })
+    }
+
+    /// The recordings of a campaign with that window which leaves less of the field: one reference has one kind of rows. Their noise is
+    /// estimated together.
+    pub(super) fn better(all: Vec<Self>) -> Vec<Recording> {
+        let count = all.len();
+        let (mut wide, narrow): (Vec<Recording>, Vec<Option<Recording>>) =
+            all.into_iter().map(|one| (one.wide, one.narrow)).unzip();
+        let mut narrow: Vec<Recording> = narrow.into_iter().flatten().collect();
+        NoiseEstimate::estimate_together(&mut wide);
+        NoiseEstimate::estimate_together(&mut narrow);
+        let left_g2 =
+            |all: &[Recording]| all.iter().map(|one| one.noise.smooth_g.powi(2)).sum::<f64>();
+        let is_better =
+            narrow.len() == count && left_g2(&narrow) < CLEARLY_LESS.powi(2) * left_g2(&wide);
+        if is_better { narrow } else { wide }
+    }
+}
+
+impl Recording {
+    /// Reads the recording in `folder`, with the better one of its windows.
+    ///
+    /// # Errors
+    /// It is no recording, or damaged.
+    pub fn read(folder: &Path, alignment: Alignment) -> Result<Self, DataError> {
+        let windows = RecordingWindows::read(folder, alignment)?;
+        Ok(RecordingWindows::better(vec![windows]).remove(0))
     }
 
     /// Reads it with the window of the aligned field scaled by `width`.

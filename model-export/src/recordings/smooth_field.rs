@@ -1,5 +1,7 @@
-//! A smooth through the field of one sensor over a recording: a polynomial in its forces and in the covariates on which the field
+//! A smooth through the field of one sensor over recordings: a polynomial in its forces and in the covariates on which the field
 //! depends, with the rates of the forces and a cubic in time. It serves the estimate of the noise only, never a model.
+
+use std::ops::Range;
 
 use nalgebra::{DMatrix, DVector, Vector3};
 
@@ -11,7 +13,7 @@ use crate::recordings::noise::autocorrelation_rows;
 /// Maximum number of terms.
 pub const MAX_TERMS: usize = 70;
 /// Minimum number of rows for each term.
-const ROWS_PER_TERM: usize = 12;
+pub const ROWS_PER_TERM: usize = 12;
 /// Maximum number of rows that are fitted.
 const MAX_ROWS: usize = 4000;
 /// Maximum degree of the polynomial in the forces and the leading covariates.
@@ -155,10 +157,78 @@ impl<'a> Basis<'a> {
     }
 }
 
+/// Recordings one after the other, with the first row of each; `None` where they have other columns.
+fn joined(recordings: &[Recording], sensor: u32) -> Option<(Recording, Vec<usize>)> {
+    let mut all = recordings.first()?.without_rows();
+    let mut starts = Vec::new();
+    for one in recordings {
+        let first = recordings.first()?;
+        let is_same = one.forces.keys().eq(first.forces.keys())
+            && one.covariates.keys().eq(first.covariates.keys());
+        let (own, to) = (one.sensors.get(&sensor)?, all.sensors.get_mut(&sensor)?);
+        if !is_same
+            || own.temperature_c.is_empty() != first.sensors.get(&sensor)?.temperature_c.is_empty()
+        {
+            return None;
+        }
+        to.field_g.extend(&own.field_g);
+        to.temperature_c.extend(&own.temperature_c);
+        for (key, force) in &one.forces {
+            all.forces.entry(*key).or_default().newtons.extend(&force.newtons);
+        }
+        for (name, values) in &one.covariates {
+            all.covariates.entry(name.clone()).or_default().extend(values);
+        }
+        let from_s = one.time_s.first().copied().unwrap_or(0.0);
+        let after_s = all.time_s.last().map_or(0.0, |last| last + 1.0);
+        starts.push(all.time_s.len());
+        all.time_s.extend(one.time_s.iter().map(|time_s| time_s - from_s + after_s));
+    }
+    Some((all, starts))
+}
+
 impl SmoothField {
     /// Through the field of `sensor` over its own forces (or all, where there are none of its own) and all covariates, with at most
     /// `terms` terms. `None` with too few rows.
     pub fn of(recording: &Recording, sensor: u32, terms: usize) -> Option<Self> {
+        Self::of_parts(recording, sensor, terms, &[0])
+    }
+
+    /// One smooth through all recordings, with an offset for each: of few rows each, together they determine more terms. `None` where
+    /// they have other columns.
+    pub fn through(recordings: &[Recording], sensor: u32, terms: usize) -> Option<Vec<Self>> {
+        let (all, starts) = joined(recordings, sensor)?;
+        let whole = Self::of_parts(&all, sensor, terms, &starts)?;
+        let share = whole.terms as f64 / whole.rows.len() as f64;
+        let part = |(index, from): (usize, &usize)| {
+            let end = starts.get(index + 1).copied().unwrap_or(all.time_s.len());
+            let places = whole.places(*from..end);
+            Self {
+                forces: whole.forces.clone(),
+                rows: whole.rows[places.clone()].iter().map(|row| row - from).collect(),
+                residual_g: whole.residual_g[places.clone()].to_vec(),
+                slopes: whole.slopes[places.clone()].to_vec(),
+                explained: whole.explained,
+                covariates: whole.covariates.clone(),
+                terms: (share * places.len() as f64).ceil() as usize,
+            }
+        };
+        Some(starts.iter().enumerate().map(part).collect())
+    }
+
+    /// Places of these rows of the recording among its own.
+    fn places(&self, rows: Range<usize>) -> Range<usize> {
+        let place = |row: usize| self.rows.partition_point(|own| *own < row);
+        place(rows.start)..place(rows.end)
+    }
+
+    /// `starts`: first row of each part of the recording, between which the rows have no order.
+    fn of_parts(
+        recording: &Recording,
+        sensor: u32,
+        terms: usize,
+        starts: &[usize],
+    ) -> Option<Self> {
         let series = recording.sensors.get(&sensor)?;
         let keys = || recording.forces.keys().copied();
         let own: Vec<(u32, Axis)> = keys().filter(|(place, _)| *place == sensor).collect();
@@ -174,6 +244,13 @@ impl SmoothField {
         };
         let rows: Vec<usize> = (0..series.field_g.len()).filter(is_usable).collect();
         let budget = terms.min(rows.len() / ROWS_PER_TERM);
+        let place = |row: &usize| rows.partition_point(|own| own < row);
+        let ends = starts.iter().skip(1).map(place).chain([rows.len()]);
+        let parts: Vec<Range<usize>> =
+            starts.iter().map(place).zip(ends).map(|(from, end)| from..end).collect();
+        if 3 * (parts.len() - 1) > budget {
+            return None;
+        }
         let at = |column: &[f64]| Scaled::of(rows.iter().map(|&row| column[row]));
         let loads: Vec<(usize, Scaled)> = newtons
             .iter()
@@ -199,9 +276,17 @@ impl SmoothField {
         let power = |power: i32| -> Vec<f64> {
             clock.values.iter().map(|value| value.powi(power)).collect()
         };
-        let mut further: Vec<Vec<f64>> = [1, 2, 3].map(power).into();
+        let offset = |part: &Range<usize>| -> Vec<f64> {
+            (0..rows.len()).map(|row| f64::from(part.contains(&row))).collect()
+        };
+        let mut further: Vec<Vec<f64>> = parts.iter().skip(1).map(offset).collect();
+        further.extend([1, 2, 3].map(power));
+        let by_part = |of: &dyn Fn(Range<usize>) -> Vec<f64>| -> Vec<f64> {
+            parts.iter().flat_map(|part| of(part.clone())).collect()
+        };
         for (_, load) in &loads {
-            let rates = operators::smooth(&time_s, &load.values).1;
+            let rates =
+                by_part(&|part| operators::smooth(&time_s[part.clone()], &load.values[part]).1);
             further.extend(Scaled::of(rates.into_iter()).map(|rates| rates.values));
         }
         let spare = budget.saturating_sub(1 + 2 * loads.len());
@@ -236,9 +321,12 @@ impl SmoothField {
             }
         }
         // The field may follow the past of a covariate, as that of a sensor that warms slowly.
-        let span_s = recording.span_s();
+        let span_s = recording.span_s() / parts.len() as f64;
         let history = leading.iter().flat_map(|&place| {
-            HISTORIES.map(|share| low_pass(&time_s, &covariates[place].values, share * span_s))
+            let values = &covariates[place].values;
+            HISTORIES.map(|share| {
+                by_part(&|part| low_pass(&time_s[part.clone()], &values[part], share * span_s))
+            })
         });
         let history: Vec<Vec<f64>> = history.collect();
         let mut basis = basis(&leading);

@@ -9,8 +9,7 @@ use model_export::recordings::align::Alignment;
 use model_export::recordings::campaign::recording_folders;
 use model_export::recordings::description::RecordingDescription;
 use model_export::recordings::in_order;
-use model_export::recordings::recording::fingerprint;
-use model_export::recordings::recording::recording_name;
+use model_export::recordings::recording::{RecordingWindows, fingerprint, recording_name};
 use model_export::recordings::{Campaign, DataError, Recording};
 use model_export::stop;
 use rayon::prelude::*;
@@ -115,13 +114,13 @@ impl CampaignReader {
         let names: Vec<RecordingId> = list.into_iter().map(|(_, named)| named).collect();
         let mut source =
             Self { folder: folder.to_path_buf(), alignment, names, at_once: 1, cache: None };
-        let first = source.read(0)?.into_owned();
-        source.at_once = (MAX_ROWS_IN_MEMORY / first.time_s.len().max(1)).max(1);
+        let first = source.read_windows(0)?;
+        source.at_once = (MAX_ROWS_IN_MEMORY / first.wide.time_s.len().max(1)).max(1);
         if caching == Caching::Always || source.names.len() <= source.at_once {
             let bar = progress::progress_bar("reading recordings", source.names.len());
             bar.inc(1);
             let read = |place: usize| {
-                let recording = source.read(place)?.into_owned();
+                let recording = source.read_windows(place)?;
                 bar.inc(1);
                 Ok(recording)
             };
@@ -155,6 +154,13 @@ impl CampaignReader {
             }
         }
         Ok(())
+    }
+
+    fn read_windows(&self, place: usize) -> Result<RecordingWindows, DataError> {
+        stop::check();
+        let named = &self.names[place];
+        let recording = RecordingWindows::read(&named.folder, self.alignment)?;
+        Ok(recording.with_sha256(&named.sha256))
     }
 
     /// Reads one recording, from the cache where possible.
