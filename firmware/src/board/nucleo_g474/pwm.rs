@@ -85,6 +85,17 @@ impl Stage {
 
     fn switch(&mut self, on: bool) {
         if self.is_on != on {
+            if on {
+                // A break by the supply, the flash or the core leaves SBIF, which "must be reset to re-start PWM operation" (RM0440
+                // 28.6.6; ST's __HAL_TIM_CLEAR_FLAG). Flags are cleared by zeros. One whose cause lasts stays, and so does
+                // MOE = 0: the next period reads it back.
+                TIMER.sr().write(|w| {
+                    w.0 = u32::MAX;
+                    w.set_bif(0, false);
+                    w.set_bif(1, false);
+                    w.set_sbif(false);
+                });
+            }
             TIMER.bdtr().modify(|w| w.set_moe(on));
             self.is_on = on;
         }

@@ -27,6 +27,8 @@ const ALL_OUTPUTS: u32 = 0x555;
 /// automatic output enable; of CR2 the outputs' idle levels.
 const LOCKED: u32 = 0x33FF_70FF;
 const LOCKED_IDLE_LEVELS: u32 = 0x0000_7F00;
+/// BDTR.MOE.
+const MAIN_OUTPUT: u32 = 1 << 15;
 /// LOCK itself is written once.
 const LOCK: u32 = 0x300;
 
@@ -224,13 +226,16 @@ impl MotorTimer {
         })
     }
 
+    /// Flags of the breaks that are active.
+    fn active_breaks(&self) -> u32 {
+        let [first, second] = self.is_broken();
+        let system = self.is_supply_low && self.bdtr().bke(0);
+        u32::from(first) * BREAK + u32::from(second) * BREAK_2 + u32::from(system) * SYSTEM_BREAK
+    }
+
     fn check_breaks(&mut self, now: Time) {
         let broken = self.is_broken();
-        for (is_broken, flag) in broken.into_iter().zip([BREAK, BREAK_2]) {
-            if is_broken {
-                *self.word_mut(SR) |= flag;
-            }
-        }
+        *self.word_mut(SR) |= self.active_breaks();
         if broken.contains(&true) && self.bdtr().moe() {
             self.switch_off(now);
         }
@@ -296,7 +301,8 @@ impl MotorTimer {
                     self.switch_off(context.now);
                 }
             }
-            SR => *self.word_mut(SR) &= value,
+            // A flag of a break that is active stays (28.6.6).
+            SR => *self.word_mut(SR) &= value | self.active_breaks(),
             BDTR => self.write_bdtr(value, context),
             CCR0..=CCR3 => *self.word_mut(offset) = value & 0xFFFF,
             ARR | RCR => *self.word_mut(offset) = value & 0xFFFF,
@@ -335,6 +341,10 @@ impl MotorTimer {
             context.report(Kind::WriteProtected, BDTR, "bits that LOCK protects");
         }
         *self.word_mut(BDTR) = value & !keeps | old & keeps;
+        // "This flag must be reset to re-start PWM operation" (28.6.6, SBIF).
+        if self.word(SR) & SYSTEM_BREAK != 0 && old & MAIN_OUTPUT == 0 {
+            *self.word_mut(BDTR) &= !MAIN_OUTPUT;
+        }
         if self.bdtr().aoe() {
             context.report(Kind::UnmodelledSetting, BDTR, "outputs that come back by themselves");
         }
