@@ -595,6 +595,11 @@ impl Soc {
         }
     }
 
+    /// A debugger halts the core, or lets it run again.
+    pub(crate) fn set_halted(&mut self, is_halted: bool) {
+        self.tim1.set_stopped(is_halted && self.dbgmcu.stops_motor_timer(), self.now);
+    }
+
     /// Takes the supply away in the middle of an operation of the flash memory: [`crate::chip::Halt::PowerLost`].
     pub fn cut_power(&mut self, cut: PowerCut) {
         self.flash.cut_power(cut);

@@ -73,6 +73,7 @@ impl Bsp for NucleoG474 {
         // A failing crystal breaks the motor outputs and raises the NMI; the driver library has no option for it.
         pac::RCC.cr().modify(|w| w.set_csson(true));
         break_on_chip_faults();
+        stop_with_debugger();
         // 20 mA drivers for 1 MHz.
         pac::SYSCFG.cfgr1().modify(|w| {
             w.set_i2c1_fmp(true);
@@ -157,6 +158,14 @@ fn break_on_chip_faults() {
         w.set_pvdl(true);
         w.set_eccl(true);
     });
+}
+
+/// A halt by a debugger stops the motor timer, which then drives all six pins low (RM0440 28.3.32): else its last duties would stay on
+/// the bridges. With the feature `debug` the watchdog waits as well.
+fn stop_with_debugger() {
+    pac::DBGMCU.apb2fzr().modify(|w| w.set_tim1(true));
+    #[cfg(feature = "debug")]
+    pac::DBGMCU.apb1fzr1().modify(|w| w.set_iwdg(true));
 }
 
 /// The code where the option bytes are unsuitable: 1, the flash has a single bank, so that the image would stop while

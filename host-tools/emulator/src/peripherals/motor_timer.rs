@@ -60,6 +60,8 @@ pub struct MotorTimer {
     break_inputs: [bool; 2],
     /// Level of the supply's detector, where it is connected to the break.
     is_supply_low: bool,
+    /// A debugger has halted the core, and DBG_TIM1_STOP is set: no counting, outputs as without MOE (28.3.32).
+    is_stopped: bool,
     /// When the outputs were switched on (true) or off.
     pub switched: Vec<(Time, bool)>,
 }
@@ -77,6 +79,7 @@ impl MotorTimer {
             is_locked: false,
             break_inputs: [false; 2],
             is_supply_low: false,
+            is_stopped: false,
             switched: Vec::new(),
         };
         *timer.word_mut(ARR) = 0xFFFF;
@@ -113,7 +116,8 @@ impl MotorTimer {
 
     /// Whether the half bridges are driven: main output, channels and counter are on.
     pub fn is_driving(&self) -> bool {
-        self.bdtr().moe() && self.word(CCER) & ALL_OUTPUTS == ALL_OUTPUTS && bit(self.word(CR1), 0)
+        let is_on = self.bdtr().moe() && !self.is_stopped;
+        is_on && self.word(CCER) & ALL_OUTPUTS == ALL_OUTPUTS && bit(self.word(CR1), 0)
     }
 
     /// Shares of the period in which the high sides are on; none where the outputs are off.
@@ -181,7 +185,16 @@ impl MotorTimer {
     /// Whether the rise of the fourth channel's reference is the trigger TRGO2: PWM mode 2 and MMS2.
     pub(crate) fn triggers_converter(&self) -> bool {
         let mode = self.word(CCMR_OUTPUT1) >> 12 & 7 | self.word(CCMR_OUTPUT1) >> 21 & 8;
-        mode == 7 && self.word(CR2) >> 20 & 0xF == 7
+        mode == 7 && self.word(CR2) >> 20 & 0xF == 7 && !self.is_stopped
+    }
+
+    /// A debugger stops or continues the counter. Its events continue, as the time of what it drives does.
+    pub(crate) fn set_stopped(&mut self, is_stopped: bool, now: Time) {
+        let was_on = self.is_driving();
+        self.is_stopped = is_stopped;
+        if self.is_driving() != was_on {
+            self.switched.push((now, !was_on));
+        }
     }
 
     /// The level at a break input changes.

@@ -1,0 +1,35 @@
+//! Errata and properties of the silicon that the reference manual states in passing or not at all
+//! (`emulator/README.md`).
+
+use firmware::grip::commands::mode;
+use firmware::protocol::messages::Command;
+use libtest_mimic::{Failed, Trial};
+
+use crate::motion::homed;
+
+type Test = fn() -> Result<(), Failed>;
+
+pub fn trials() -> Vec<Trial> {
+    let tests: [(&str, Test); 1] =
+        [("silicon_debugger_halts_core_bridges_are_off", debugger_halts)];
+    tests.into_iter().map(|(name, test)| Trial::test(name, test)).collect()
+}
+
+/// The duties do not stay on the bridges until the watchdog resets the chip.
+fn debugger_halts() -> Result<(), Failed> {
+    let mut cell = homed()?;
+    cell.host.order(Command { mode: mode::MOVE, position: 1000, speed: 232, ..Command::default() });
+    cell.run(0.2);
+    assert!(cell.board.chip.soc.motor_duties().is_some());
+    cell.board.chip.set_halted(true);
+    let mut peak_a = 0.0_f64;
+    for step in 1..=600 {
+        cell.advance_us(25 * step);
+        assert_eq!(cell.board.chip.soc.motor_duties(), None);
+        let currents_a = cell.gripper.borrow().rig.plant.motor.currents_a;
+        peak_a = currents_a.into_iter().fold(peak_a, |peak, current| current.abs().max(peak));
+    }
+    println!("at most {peak_a:.1} A in 15 ms");
+    assert!(peak_a < 12.0, "{peak_a} A");
+    Ok(())
+}
