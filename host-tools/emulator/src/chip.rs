@@ -286,6 +286,11 @@ impl Chip {
         &mut self.core
     }
 
+    /// A debugger that has asked for the whole log stops reading it: its cable is pulled, or its program has ended.
+    pub fn stall_log(&mut self) {
+        self.log.stall(&mut self.soc);
+    }
+
     /// A debugger halts the core, or lets it run again.
     pub fn set_halted(&mut self, is_halted: bool) {
         self.state = if is_halted { CoreState::Halted } else { CoreState::Running };

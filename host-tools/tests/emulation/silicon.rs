@@ -3,16 +3,34 @@
 
 use firmware::grip::commands::mode;
 use firmware::protocol::messages::Command;
+use firmware::system::faults::Fault;
 use libtest_mimic::{Failed, Trial};
 
+use crate::faults::holding;
 use crate::motion::homed;
 
 type Test = fn() -> Result<(), Failed>;
 
 pub fn trials() -> Vec<Trial> {
-    let tests: [(&str, Test); 1] =
-        [("silicon_debugger_halts_core_bridges_are_off", debugger_halts)];
+    let tests: [(&str, Test); 2] = [
+        ("silicon_log_reader_stops_no_tick_is_missed", log_reader_stops),
+        ("silicon_debugger_halts_core_bridges_are_off", debugger_halts),
+    ];
     tests.into_iter().map(|(name, test)| Trial::test(name, test)).collect()
+}
+
+/// A full buffer of the log blocks nobody: the program that reads it has ended, and faults are still logged.
+fn log_reader_stops() -> Result<(), Failed> {
+    let mut cell = holding()?;
+    cell.board.chip.stall_log();
+    cell.host.received.faults.clear();
+    cell.board.chip.soc.set_gate_fault(true);
+    cell.run(0.2);
+    assert_eq!(cell.board.chip.resets, []);
+    let codes: Vec<_> = cell.host.received.faults.iter().map(|(_, event)| event.code).collect();
+    assert!(codes.contains(&(Fault::PowerStage as u16)), "{codes:?}");
+    assert!(!codes.contains(&(Fault::TicksMissed as u16)), "{codes:?}");
+    Ok(())
 }
 
 /// The duties do not stay on the bridges until the watchdog resets the chip.
