@@ -154,9 +154,9 @@ pub struct Devices {
 pub struct Options {
     /// The circuit board.
     pub wiring: Wiring,
-    /// What a bit on the sensor buses takes beyond the times of TIMINGR: edges, filter, synchronisation (RM0440 41.4.9).
-    /// 250 ns is the least at a kernel clock of 16 MHz, 500 ns the manual's examples.
-    pub i2c_synchronisation: Time,
+    /// What edges and the analogue filter add to a bit on the sensor buses (RM0440 41.4.9): the filter delays both phases by
+    /// 50 to 260 ns (datasheet, table 84), and the edges of a bus of 1 kOhm and 100 pF take 105 ns.
+    pub i2c_delay: Time,
     /// The watchdog's oscillator: 32 kHz, 29.5 to 34 over temperature and supply (datasheet table 46).
     pub lsi: Frequency,
     /// Of the random numbers, and of what the memories hold at power-on.
@@ -167,7 +167,7 @@ impl Default for Options {
     fn default() -> Self {
         Self {
             wiring: Wiring::NUCLEO_G474,
-            i2c_synchronisation: Time::from_ns(500),
+            i2c_delay: Time::from_ns(625),
             lsi: Frequency(32_000),
             seed: 1,
         }
@@ -701,7 +701,7 @@ impl Soc {
             } else if let Some(number) = (0..3).find(|number| self.i2c[*number].next_event() <= due)
             {
                 let bus = bus(&mut self.devices, &mut self.empty, self.buses[number]);
-                self.i2c[number].advance(due, self.options.i2c_synchronisation, bus);
+                self.i2c[number].advance(due, self.options.i2c_delay, bus);
                 self.refresh(Block::I2c(number));
             } else if self.usart.next_event(&*self.devices.serial) <= due {
                 let usart_base = base_of(&self.entries, Block::Usart);
@@ -960,7 +960,7 @@ impl Soc {
             }
             Block::I2c(number) => {
                 let bus = bus(&mut self.devices, &mut self.empty, self.buses[number]);
-                self.i2c[number].read(offset, self.options.i2c_synchronisation, bus, context)
+                self.i2c[number].read(offset, self.options.i2c_delay, bus, context)
             }
             Block::Iwdg => self.iwdg.read(offset, context),
             Block::Pwr => self.pwr.read(offset, context),
@@ -1040,13 +1040,7 @@ impl Soc {
             Block::I2c(number) => {
                 let pads =
                     [self.buses[number].is_some(), self.syscfg.fast_mode_plus(number as u32 + 1)];
-                self.i2c[number].write(
-                    offset,
-                    value,
-                    pads,
-                    self.options.i2c_synchronisation,
-                    context,
-                );
+                self.i2c[number].write(offset, value, pads, self.options.i2c_delay, context);
             }
             Block::Iwdg => {
                 if self.iwdg.write(offset, value, context) {

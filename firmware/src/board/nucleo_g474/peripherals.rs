@@ -24,8 +24,8 @@ use crate::board::{Bsp, Peripherals};
 use crate::model::kernel;
 use crate::protocol::serial::BAUD_RATE;
 
-/// Clock of the I2C peripherals: HSI16.
-const I2C_HZ: u32 = 16_000_000;
+/// Clock of the I2C peripherals: that of the system. HSI16 would be below the 17 MHz of Fast-mode Plus.
+const I2C_HZ: u32 = 160_000_000;
 /// Edges of the sensor buses in nanoseconds, assumed: 1 kOhm, 100 pF.
 const EDGES: EdgeTimes = EdgeTimes { rise: 85, fall: 20 };
 /// TIMINGR of the sensor buses.
@@ -200,8 +200,8 @@ fn clocks() -> rcc::Config {
     config.mux.adc12sel = rcc::mux::Adcsel::SYS;
     config.mux.adc345sel = rcc::mux::Adcsel::SYS;
     config.mux.fdcansel = rcc::mux::Fdcansel::PLL1_Q;
-    config.mux.i2c1sel = rcc::mux::I2csel::HSI;
-    config.mux.i2c3sel = rcc::mux::I2csel::HSI;
+    config.mux.i2c1sel = rcc::mux::I2csel::SYS;
+    config.mux.i2c3sel = rcc::mux::I2csel::SYS;
     config.mux.clk48sel = rcc::mux::Clk48sel::HSI48;
     config
 }
