@@ -297,7 +297,7 @@ impl CurrentLoop {
             return self.trip(Trip::NotANumber);
         };
         let inputs = CommissioningInputs {
-            alpha_a: current.alpha,
+            current,
             angle: self.tracker.angle(),
             max_v: foc::max_v(self.bus_v),
         };

@@ -2,19 +2,22 @@
 //! (`emulator/README.md`).
 
 use firmware::grip::commands::mode;
+use firmware::motor::calibration::CalibrationKind;
 use firmware::protocol::messages::Command;
+use firmware::protocol::session::{op, status};
 use firmware::system::faults::Fault;
 use libtest_mimic::{Failed, Trial};
 
 use crate::faults::holding;
-use crate::motion::homed;
+use crate::motion::{cell, homed};
 
 type Test = fn() -> Result<(), Failed>;
 
 pub fn trials() -> Vec<Trial> {
-    let tests: [(&str, Test); 2] = [
+    let tests: [(&str, Test); 3] = [
         ("silicon_log_reader_stops_no_tick_is_missed", log_reader_stops),
         ("silicon_debugger_halts_core_bridges_are_off", debugger_halts),
+        ("silicon_exchanged_current_senses_end_commissioning", exchanged_senses),
     ];
     tests.into_iter().map(|(name, test)| Trial::test(name, test)).collect()
 }
@@ -49,5 +52,19 @@ fn debugger_halts() -> Result<(), Failed> {
     }
     println!("at most {peak_a:.1} A in 15 ms");
     assert!(peak_a < 12.0, "{peak_a} A");
+    Ok(())
+}
+
+/// The vector of the currents is not along that of the voltage: no result is stored, and the motor is off.
+fn exchanged_senses() -> Result<(), Failed> {
+    let mut cell = cell(40.0)?;
+    cell.run(0.4);
+    cell.gripper.borrow_mut().errors.counts = Some(Box::new(|[u, v, w, bus]| [u, w, v, bus]));
+    cell.host.received.replies.clear();
+    cell.host.service(op::MEASURE, CalibrationKind::Motor as u32);
+    cell.until(5.0, |cell| !cell.host.received.replies.is_empty());
+    let reply = cell.host.received.replies.first().map(|(_, reply)| *reply).ok_or("no reply")?;
+    println!("{reply:?}");
+    assert_ne!(reply.status, status::DONE, "{reply:?}");
     Ok(())
 }
