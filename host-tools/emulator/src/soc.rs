@@ -30,6 +30,9 @@ use crate::wiring::Wiring;
 /// SRAM1 and SRAM2, one behind the other (RM0440 2.4).
 pub const SRAM: u32 = 0x2000_0000;
 const SRAM_SIZE: usize = 96 * 1024;
+/// Where SRAM2 begins; it, SRAM1 and core-coupled memory are the cuts of SRAM.
+const SRAM_2: u32 = SRAM + 80 * 1024;
+const ALL_CUTS: u8 = 7;
 /// Core-coupled memory, where the core fetches without waiting; the system bus shows it behind SRAM2 as well.
 const CCM: u32 = 0x1000_0000;
 const CCM_SIZE: usize = 32 * 1024;
@@ -236,6 +239,8 @@ pub struct Soc {
     is_break_wire_open: bool,
     /// The trigger of the motor's timer reaches the converter.
     has_motor_trigger: bool,
+    /// Cuts of SRAM that were not accessed since the reset: bits of SRAM1, SRAM2, CCM.
+    untouched: u8,
     /// Alternate functions of the six bridge pins, the break, the serial line, CAN, both SPI devices, and the sensor buses.
     functions: Functions,
 }
@@ -356,6 +361,7 @@ impl Soc {
             gate_fault: false,
             is_break_wire_open: false,
             has_motor_trigger: true,
+            untouched: 0,
             functions,
             options,
         };
@@ -406,6 +412,7 @@ impl Soc {
             gate_fault: self.gate_fault,
             is_break_wire_open: self.is_break_wire_open,
             has_motor_trigger: self.has_motor_trigger,
+            untouched: self.untouched,
             functions: self.functions.clone(),
         }
     }
@@ -421,6 +428,7 @@ impl Soc {
     /// A reset of everything but the memories.
     pub(crate) fn reset(&mut self, cause: ResetCause) {
         self.reset = None;
+        self.untouched = ALL_CUTS;
         self.rcc.reset(self.now, cause);
         self.system.reset();
         self.pwr.reset();
@@ -1298,6 +1306,20 @@ impl Soc {
         }
     }
 
+    /// The first access to a cut of SRAM after a reset: a write is lost (ES0430 2.2.7). Whether this is one.
+    #[cold]
+    fn touch(&mut self, address: u32) -> bool {
+        let cut = match address {
+            SRAM..SRAM_2 => 1,
+            SRAM_2..CCM_ALIAS => 2,
+            CCM_ALIAS..=0x2001_FFFF | CCM..=0x1000_7FFF => 4,
+            _ => 0,
+        };
+        let is_first = self.untouched & cut != 0;
+        self.untouched &= !cut;
+        is_first
+    }
+
     /// A word with two wrong bits was read.
     #[cold]
     fn fail_flash(&mut self) {
@@ -1317,6 +1339,9 @@ impl Bus for Soc {
     #[inline]
     fn read(&mut self, address: u32, width: Width) -> Result<u32, BusError> {
         let length = width.bytes() as usize;
+        if self.untouched != 0 {
+            self.touch(address);
+        }
         let offset = address.wrapping_sub(SRAM) as usize;
         if let Some(bytes) = self.sram.get(offset..offset.wrapping_add(length)) {
             return Ok(little_endian(bytes));
@@ -1340,6 +1365,9 @@ impl Bus for Soc {
     #[inline]
     fn write(&mut self, address: u32, width: Width, value: u32) -> Result<(), BusError> {
         let length = width.bytes() as usize;
+        if self.untouched != 0 && self.touch(address) {
+            return Ok(());
+        }
         for (start, memory) in [(SRAM, &mut self.sram), (CCM, &mut self.ccm)] {
             let offset = address.wrapping_sub(start) as usize;
             if let Some(place) = memory.get_mut(offset..offset.wrapping_add(length)) {

@@ -23,6 +23,7 @@ use crate::board::selected::{NucleoG474, crash, drive, pwm, sync};
 use crate::board::{Bsp, Peripherals};
 use crate::model::kernel;
 use crate::protocol::serial::BAUD_RATE;
+use crate::system::crash::CrashKind;
 
 /// Clock of the I2C peripherals: that of the system. HSI16 would be below the 17 MHz of Fast-mode Plus.
 const I2C_HZ: u32 = 160_000_000;
@@ -69,7 +70,9 @@ impl Bsp for NucleoG474 {
         // The driver library resets PWR and sets the wrong bit for boost mode: its clocks follow afterwards.
         boost();
         rcc::reinit(clocks(), &mut p.RCC);
-        kernel::copy_to_ccm();
+        if !kernel::copy_to_ccm() {
+            crash::reset(CrashKind::Corruption);
+        }
         // A failing crystal breaks the motor outputs and raises the NMI; the driver library has no option for it.
         pac::RCC.cr().modify(|w| w.set_csson(true));
         break_on_chip_faults();
