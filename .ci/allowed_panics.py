@@ -114,8 +114,4 @@ RULES = (
         "Pages and words are those of the parameters and of the calibration slots, whose size limits an upload; a write is "
         "one word.",
     ),
-    Allowed(
-        r"\bembassy-stm32/src/adc/g4\.rs::configure_sequence\b",
-        "The channels and their number are constants.",
-    ),
 )

@@ -98,7 +98,7 @@ pub struct FlashOffsets {
 
 /// Temperature sensors of a board.
 pub trait Thermometer {
-    /// Measures all temperatures; blocks for less than 100 us.
+    /// The latest temperatures.
     fn measure(&mut self) -> BoardTemperatures;
 }
 

@@ -6,7 +6,7 @@ use std::ops::Range;
 use crate::core::{Bus, BusError, SystemControl, Width};
 use crate::devices::{CanBus, Drivetrain, EmptyI2cBus, I2cBus, SerialLine, SpiDevice};
 use crate::peripherals::Context;
-use crate::peripherals::adc::{self, Adc, Inputs};
+use crate::peripherals::adc::{self, Adc, Inputs, Trigger};
 use crate::peripherals::clocks::{Rcc, ResetCause};
 use crate::peripherals::dma::{Dma, Transfer};
 use crate::peripherals::exti::Exti;
@@ -160,6 +160,8 @@ pub struct Options {
     /// What edges and the analogue filter add to a bit on the sensor buses (RM0440 41.4.9): the filter delays both phases by
     /// 50 to 260 ns (datasheet, table 84), and the edges of a bus of 1 kOhm and 100 pF take 105 ns.
     pub i2c_delay: Time,
+    /// What the amplifier of a phase current takes to settle after its low side is switched on (DRV8316: 1 us).
+    pub amplifier_settling: Time,
     /// The watchdog's oscillator: 32 kHz, 29.5 to 34 over temperature and supply (datasheet table 46).
     pub lsi: Frequency,
     /// Of the random numbers, and of what the memories hold at power-on.
@@ -171,6 +173,7 @@ impl Default for Options {
         Self {
             wiring: Wiring::NUCLEO_G474,
             i2c_delay: Time::from_ns(625),
+            amplifier_settling: Time::from_us(1),
             lsi: Frequency(32_000),
             seed: 1,
         }
@@ -742,12 +745,47 @@ impl Soc {
         match self.tim1.advance(self.now) {
             Some(Moment::Trigger) if self.has_motor_trigger && self.tim1.triggers_converter() => {
                 let adc_base = base_of(&self.entries, Block::Adc12);
-                self.adc.trigger(context!(self, adc_base));
+                if self.adc.trigger(Trigger::Tim1Trgo2, context!(self, adc_base)) {
+                    self.check_sampling(adc_base);
+                }
             }
             Some(Moment::Trigger) | None => {}
-            Some(Moment::Top | Moment::Bottom) => self.devices.drivetrain.half_period(half, duties),
+            Some(moment @ (Moment::Top | Moment::Bottom)) => {
+                self.devices.drivetrain.half_period(half, duties);
+                if moment == Moment::Bottom && self.tim1.triggers_on_update() {
+                    let adc_base = base_of(&self.entries, Block::Adc345);
+                    for adc in &mut self.slow_adcs {
+                        adc.trigger(Trigger::Tim1Trgo, context!(self, adc_base));
+                    }
+                }
+            }
         }
+        self.disturb_converters();
         self.refresh(Block::Tim1);
+    }
+
+    /// Conversions of ADC1 overlap those of other converters.
+    fn disturb_converters(&mut self) {
+        if self.adc.is_converting() && self.slow_adcs.iter().any(Adc::is_converting) {
+            self.adc.disturb();
+            let address = base_of(&self.entries, Block::Adc12);
+            let detail = "currents are converted while another converter converts";
+            self.violations.report(Kind::Misconfigured, address, detail);
+        }
+    }
+
+    /// A current is valid where its low side is on, and has been for as long as its amplifier takes to settle.
+    fn check_sampling(&mut self, adc_base: u32) {
+        let Some(windows) = self.tim1.low_side_windows() else { return };
+        let context = context!(self, adc_base);
+        for (channel, begins, ends) in self.adc.sampling_times(context) {
+            let Some(phase) = self.adc.phase(channel) else { continue };
+            let [opens, closes] = windows[phase];
+            let settled = opens + self.options.amplifier_settling;
+            if self.now + begins < settled || self.now + ends > closes {
+                context.report(Kind::Misconfigured, 0, "a current is sampled before it is valid");
+            }
+        }
     }
 
     pub(crate) fn plan(&mut self) {

@@ -7,16 +7,19 @@ use firmware::protocol::messages::Command;
 use firmware::protocol::session::{op, status};
 use firmware::system::faults::Fault;
 use libtest_mimic::{Failed, Trial};
+use sim::drivetrain::sensors::ROOM_C;
 
+use crate::boards::violations;
 use crate::faults::holding;
 use crate::motion::{cell, homed};
 
 type Test = fn() -> Result<(), Failed>;
 
 pub fn trials() -> Vec<Trial> {
-    let tests: [(&str, Test); 3] = [
+    let tests: [(&str, Test); 4] = [
         ("silicon_log_reader_stops_no_tick_is_missed", log_reader_stops),
         ("silicon_debugger_halts_core_bridges_are_off", debugger_halts),
+        ("silicon_temperatures_after_pauses_are_right", temperatures),
         ("silicon_exchanged_current_senses_end_commissioning", exchanged_senses),
     ];
     tests.into_iter().map(|(name, test)| Trial::test(name, test)).collect()
@@ -52,6 +55,19 @@ fn debugger_halts() -> Result<(), Failed> {
     }
     println!("at most {peak_a:.1} A in 15 ms");
     assert!(peak_a < 12.0, "{peak_a} A");
+    Ok(())
+}
+
+/// Each is converted ten times a second: the first conversion after a pause is wrong.
+fn temperatures() -> Result<(), Failed> {
+    let mut cell = cell(40.0)?;
+    cell.gripper.borrow_mut().temperatures_c = [40.0, 60.0];
+    cell.run(1.0);
+    let (_, power) = cell.host.received.power.ok_or("no message")?;
+    let found = [power.mcu, power.motor].map(f64::from);
+    println!("chip and motor: {found:?} degrees");
+    assert!((found[0] - ROOM_C).abs() <= 2.0 && (found[1] - 40.0).abs() <= 2.0, "{found:?}");
+    assert_eq!(violations(&cell.board), [""; 0]);
     Ok(())
 }
 

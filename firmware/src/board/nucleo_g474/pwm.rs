@@ -9,7 +9,7 @@
 use core::mem::forget;
 
 use embassy_stm32::gpio::{AfType, Flex, OutputType, Pull};
-use embassy_stm32::pac::timer::vals::{Bkp, Cms, FilterValue, Lock, Mms2, Ocm, Ossi, Ossr};
+use embassy_stm32::pac::timer::vals::{Bkp, Cms, FilterValue, Lock, Mms, Mms2, Ocm, Ossi, Ossr};
 use embassy_stm32::timer::complementary_pwm::ComplementaryPwmPin;
 use embassy_stm32::timer::simple_pwm::PwmPin;
 use embassy_stm32::{Peri, pac, peripherals, rcc};
@@ -142,7 +142,11 @@ fn configure() {
         w.set_ocpe(1, true);
     });
     TIMER.ccr(3).write(|w| w.set_ccr(PERIOD_COUNTS - TRIGGER_LEAD));
-    TIMER.cr2().modify(|w| w.set_mms2(Mms2::COMPARE_OC4));
+    // The currents in the middle of a period, the temperatures at its beginning.
+    TIMER.cr2().modify(|w| {
+        w.set_mms2(Mms2::COMPARE_OC4);
+        w.set_mms(Mms::UPDATE);
+    });
     TIMER.ccer().modify(|w| {
         for channel in 0..3 {
             w.set_cce(channel, true);

@@ -188,6 +188,23 @@ impl MotorTimer {
         mode == 7 && self.word(CR2) >> 20 & 0xF == 7 && !self.is_stopped
     }
 
+    /// Whether TRGO follows the update event: MMS.
+    pub(crate) fn triggers_on_update(&self) -> bool {
+        self.word(CR2) >> 4 & 7 == 2 && !self.is_stopped
+    }
+
+    /// From when to when in this period each low side is on; none where the outputs are off.
+    pub(crate) fn low_side_windows(&self) -> Option<[[Time; 2]; 3]> {
+        let dead = u64::from(self.bdtr().dtg());
+        let at = |counts: u64| self.since + self.clock.cycles(counts);
+        let window = |compare: u32| match u64::from(compare) {
+            0 => [Time::ZERO, Time::NEVER],
+            compare => [at(compare + dead), at(2 * u64::from(self.reload) - compare)],
+        };
+        let [u, v, w, _] = self.compares;
+        self.is_driving().then(|| [u, v, w].map(window))
+    }
+
     /// A debugger stops or continues the counter. Its events continue, as the time of what it drives does.
     pub(crate) fn set_stopped(&mut self, is_stopped: bool, now: Time) {
         let was_on = self.is_driving();

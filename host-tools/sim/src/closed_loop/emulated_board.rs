@@ -94,6 +94,7 @@ impl EmulatedBoard {
             i2c_delay: conditions.i2c_delay,
             lsi: conditions.lsi,
             seed: conditions.seed,
+            ..Options::default()
         };
         let chip = Chip::new(image, conditions.model, options, devices)
             .context("the image does not start")?;
