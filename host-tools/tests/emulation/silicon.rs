@@ -1,6 +1,7 @@
 //! Errata and properties of the silicon that the reference manual states in passing or not at all
 //! (`emulator/README.md`).
 
+use firmware::config::constants::MODULATION;
 use firmware::grip::commands::mode;
 use firmware::motor::calibration::CalibrationKind;
 use firmware::protocol::messages::Command;
@@ -11,15 +12,16 @@ use sim::drivetrain::sensors::ROOM_C;
 
 use crate::boards::violations;
 use crate::faults::holding;
-use crate::motion::{cell, homed};
+use crate::motion::{cell, homed, move_to};
 
 type Test = fn() -> Result<(), Failed>;
 
 pub fn trials() -> Vec<Trial> {
-    let tests: [(&str, Test); 4] = [
+    let tests: [(&str, Test); 5] = [
         ("silicon_log_reader_stops_no_tick_is_missed", log_reader_stops),
         ("silicon_debugger_halts_core_bridges_are_off", debugger_halts),
         ("silicon_temperatures_after_pauses_are_right", temperatures),
+        ("silicon_full_modulation_samples_are_valid", full_modulation),
         ("silicon_exchanged_current_senses_end_commissioning", exchanged_senses),
     ];
     tests.into_iter().map(|(name, test)| Trial::test(name, test)).collect()
@@ -67,6 +69,27 @@ fn temperatures() -> Result<(), Failed> {
     let found = [power.mcu, power.motor].map(f64::from);
     println!("chip and motor: {found:?} degrees");
     assert!((found[0] - ROOM_C).abs() <= 2.0 && (found[1] - 40.0).abs() <= 2.0, "{found:?}");
+    assert_eq!(violations(&cell.board), [""; 0]);
+    Ok(())
+}
+
+/// The supply barely suffices for the speed: the low sides are on for as short as they ever are.
+fn full_modulation() -> Result<(), Failed> {
+    let mut cell = homed()?;
+    move_to(&mut cell, 60.0);
+    cell.gripper.borrow_mut().rig.plant.set_supply(17.5);
+    cell.host.order(Command { mode: mode::MOVE, position: 100, speed: 240, ..Command::default() });
+    let mut most = 0.0_f64;
+    for _ in 0..400 {
+        for step in 1..=20 {
+            cell.advance_us(50 * step);
+            let duties = cell.board.chip.soc.motor_duties().unwrap_or_default();
+            most = duties.into_iter().fold(most, f64::max);
+        }
+        cell.tick();
+    }
+    println!("duty at most {most:.3}");
+    assert!(most > MODULATION.value - 0.002, "not driven to the limit: {most}");
     assert_eq!(violations(&cell.board), [""; 0]);
     Ok(())
 }

@@ -26,6 +26,8 @@ const DEAD_TIME_COUNTS: u8 = (constants::DEAD_TIME.value * 1e-9 * CLOCK_HZ) as u
 const _: () = assert!(DEAD_TIME_COUNTS < 128);
 /// Counts from the trigger to the middle of the period.
 const TRIGGER_LEAD: u16 = 8;
+/// The same in microseconds.
+pub const TRIGGER_LEAD_US: f64 = 1e6 * TRIGGER_LEAD as f64 / CLOCK_HZ;
 const TIMER: pac::timer::TimAdv = pac::TIM1;
 /// Alternate function of the break input.
 const BREAK_AF: u8 = 6;
