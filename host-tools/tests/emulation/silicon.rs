@@ -8,21 +8,23 @@ use firmware::protocol::messages::Command;
 use firmware::protocol::session::{op, status};
 use firmware::system::faults::Fault;
 use libtest_mimic::{Failed, Trial};
+use sim::drivetrain::PERIOD_S;
 use sim::drivetrain::sensors::ROOM_C;
 
 use crate::boards::violations;
 use crate::faults::holding;
-use crate::motion::{cell, homed, move_to};
+use crate::motion::{Cell, cell, homed, move_to};
 
 type Test = fn() -> Result<(), Failed>;
 
 pub fn trials() -> Vec<Trial> {
-    let tests: [(&str, Test); 5] = [
+    let tests: [(&str, Test); 6] = [
         ("silicon_log_reader_stops_no_tick_is_missed", log_reader_stops),
         ("silicon_debugger_halts_core_bridges_are_off", debugger_halts),
         ("silicon_temperatures_after_pauses_are_right", temperatures),
         ("silicon_full_modulation_samples_are_valid", full_modulation),
         ("silicon_exchanged_current_senses_end_commissioning", exchanged_senses),
+        ("silicon_direct_current_is_zero_in_both_directions", direct_current),
     ];
     tests.into_iter().map(|(name, test)| Trial::test(name, test)).collect()
 }
@@ -105,5 +107,40 @@ fn exchanged_senses() -> Result<(), Failed> {
     let reply = cell.host.received.replies.first().map(|(_, reply)| *reply).ok_or("no reply")?;
     println!("{reply:?}");
     assert_ne!(reply.status, status::DONE, "{reply:?}");
+    Ok(())
+}
+
+/// The angle that the currents are transformed with has the age that the driver states: an error of a period would be four
+/// degrees at full speed.
+fn direct_current() -> Result<(), Failed> {
+    let mut cell = homed()?;
+    for position in [1200, 100] {
+        cell.host.order(Command { mode: mode::MOVE, position, speed: 232, ..Command::default() });
+        let speed = |cell: &Cell| cell.gripper.borrow().rig.plant.train.travel_m_s.abs();
+        assert!(cell.until(2.0, |cell| speed(cell) > 0.055).is_some());
+        let (mut along, mut across, mut count) = (0.0, 0.0, 0.0);
+        let mut turned = 0.0;
+        for _ in 0..200 {
+            for step in 1..=40 {
+                cell.advance_us(25 * step);
+                let plant = &cell.gripper.borrow().rig.plant;
+                // In the middle of a period, where the currents are sampled.
+                if (2.0 * plant.time_s() / PERIOD_S).round() % 2.0 == 1.0 {
+                    let [d, q] = plant.direct_quadrature_a();
+                    let rad_s = plant.parameters().windings.pole_pairs * plant.train.speed_rad_s;
+                    (along, across) = (along + q, across + d);
+                    (turned, count) = (turned + rad_s * PERIOD_S, count + 1.0);
+                }
+            }
+            cell.tick();
+        }
+        let (error, period) = (across / along, turned / count);
+        println!(
+            "to {position}: {:.2} A, {error:.4} rad, {period:.4} rad in a period",
+            along / count
+        );
+        assert!(error.abs() < 0.3 * period.abs(), "{error} {period}");
+        cell.run(1.0);
+    }
     Ok(())
 }

@@ -70,9 +70,10 @@ impl PhaseCurrents {
     }
 }
 
-/// Age of the angle at the instant of current sampling, in PWM periods: one frame sends the request, the next returns the
-/// angle, which is read one period later. Assumed, to be measured on a board.
-pub const ANGLE_AGE_PERIODS: f32 = 2.0;
+/// Age of the angle at the instant of current sampling, in PWM periods: the sensor samples it at the rising edge of its select, soon
+/// after the currents (AS5047P datasheet, SPI timing), and the frame of that period returns it, which the next one reads. To
+/// be confirmed on a board.
+pub const ANGLE_AGE_PERIODS: f32 = 1.0;
 
 /// SCK, MOSI, MISO, CS.
 pub type SpiPins = (
