@@ -637,6 +637,16 @@ impl Soc {
         number.is_some()
     }
 
+    /// Detects a bus error during a transfer on a sensor bus, though there is none; false where no peripheral is at it.
+    pub fn raise_bus_error(&mut self, bus: usize) -> bool {
+        let number = self.buses.iter().position(|connected| *connected == Some(bus));
+        if let Some(number) = number {
+            self.i2c[number].raise_bus_error();
+            self.refresh(Block::I2c(number));
+        }
+        number.is_some()
+    }
+
     /// A pin's port and level, for tests.
     pub fn pin_level(&self, pin: Pin) -> bool {
         self.gpio[pin.port].level(pin.number)

@@ -4,26 +4,31 @@
 use firmware::config::constants::MODULATION;
 use firmware::grip::commands::mode;
 use firmware::motor::calibration::CalibrationKind;
-use firmware::protocol::messages::Command;
+use firmware::protocol::messages::{Command, Message};
+use firmware::protocol::serial::{Packet, PacketDecoder};
 use firmware::protocol::session::{op, status};
 use firmware::system::faults::Fault;
 use libtest_mimic::{Failed, Trial};
+use sim::board::SimulatedBoard;
+use sim::closed_loop::emulated_board::ChipConditions;
 use sim::drivetrain::PERIOD_S;
 use sim::drivetrain::sensors::ROOM_C;
 
-use crate::boards::violations;
+use crate::boards::{board, image, pressed, violations};
 use crate::faults::holding;
+use crate::images::Variant;
 use crate::motion::{Cell, cell, homed, move_to};
 
 type Test = fn() -> Result<(), Failed>;
 
 pub fn trials() -> Vec<Trial> {
-    let tests: [(&str, Test); 6] = [
+    let tests: [(&str, Test); 7] = [
         ("silicon_log_reader_stops_no_tick_is_missed", log_reader_stops),
         ("silicon_debugger_halts_core_bridges_are_off", debugger_halts),
         ("silicon_temperatures_after_pauses_are_right", temperatures),
         ("silicon_full_modulation_samples_are_valid", full_modulation),
         ("silicon_exchanged_current_senses_end_commissioning", exchanged_senses),
+        ("silicon_spurious_bus_errors_no_transfer_is_lost", spurious_bus_errors),
         ("silicon_direct_current_is_zero_in_both_directions", direct_current),
     ];
     tests.into_iter().map(|(name, test)| Trial::test(name, test)).collect()
@@ -107,6 +112,36 @@ fn exchanged_senses() -> Result<(), Failed> {
     let reply = cell.host.received.replies.first().map(|(_, reply)| *reply).ok_or("no reply")?;
     println!("{reply:?}");
     assert_ne!(reply.status, status::DONE, "{reply:?}");
+    Ok(())
+}
+
+/// A detected misplaced start or stop alone is none.
+fn spurious_bus_errors() -> Result<(), Failed> {
+    let made = image(Variant::Default)?;
+    let mut board = board(&made, ChipConditions::TYPICAL, pressed(&made.built));
+    board.run_until(500_000)?;
+    let (mut ticks, mut errors) = (0, 0);
+    let mut receiver = PacketDecoder::default();
+    board.take_packets(&mut receiver);
+    for step in 1..=300 {
+        board.run_until(500_000 + 4_000 * step + 60)?;
+        assert!(board.chip.soc.raise_bus_error((step % 2) as usize));
+        board.run_until(500_000 + 4_000 * step + 3_000)?;
+        for (_, packet) in board.take_packets(&mut receiver) {
+            match packet {
+                Packet::Tick(tick) => {
+                    ticks += u32::from(tick.sensors.iter().all(|sensor| sensor.field != [0; 3]));
+                }
+                Packet::Message { message: Message::Timing(timing), .. } => {
+                    errors = timing.i2c_errors.max(errors);
+                }
+                Packet::Message { .. } => {}
+            }
+        }
+    }
+    println!("{ticks} valid ticks, {errors} errors");
+    assert_eq!(errors, 0);
+    assert!(ticks > 1190, "{ticks}");
     Ok(())
 }
 

@@ -243,6 +243,11 @@ impl I2c {
         self.isr.set_rxne(true);
     }
 
+    /// Detects a bus error that is none: the transfer goes on (ES0430 2.15.2).
+    pub(crate) fn raise_bus_error(&mut self) {
+        self.isr.set_berr(true);
+    }
+
     /// Levels of the interrupts: event, error.
     pub(crate) fn interrupts(&self) -> [bool; 2] {
         let enabled = |place| bit(self.cr1.0, place);
