@@ -1,20 +1,22 @@
 //! Errata and properties of the silicon that the reference manual states in passing or not at all
 //! (`emulator/README.md`).
 
+use emulator::Frequency;
+use emulator::wiring::Wiring;
 use firmware::config::constants::MODULATION;
 use firmware::grip::commands::mode;
 use firmware::motor::calibration::CalibrationKind;
 use firmware::protocol::messages::{Command, Message};
 use firmware::protocol::serial::{Packet, PacketDecoder};
 use firmware::protocol::session::{op, status};
-use firmware::system::faults::Fault;
+use firmware::system::faults::{Event, Fault};
 use libtest_mimic::{Failed, Trial};
 use sim::board::SimulatedBoard;
-use sim::closed_loop::emulated_board::ChipConditions;
+use sim::closed_loop::emulated_board::{ChipConditions, EmulatedBoard};
 use sim::drivetrain::PERIOD_S;
 use sim::drivetrain::sensors::ROOM_C;
 
-use crate::boards::{board, image, pressed, violations};
+use crate::boards::{at_rest, board, image, pressed, violations};
 use crate::faults::holding;
 use crate::images::Variant;
 use crate::motion::{Cell, cell, homed, move_to};
@@ -22,13 +24,14 @@ use crate::motion::{Cell, cell, homed, move_to};
 type Test = fn() -> Result<(), Failed>;
 
 pub fn trials() -> Vec<Trial> {
-    let tests: [(&str, Test); 7] = [
+    let tests: [(&str, Test); 8] = [
         ("silicon_log_reader_stops_no_tick_is_missed", log_reader_stops),
         ("silicon_debugger_halts_core_bridges_are_off", debugger_halts),
         ("silicon_temperatures_after_pauses_are_right", temperatures),
         ("silicon_full_modulation_samples_are_valid", full_modulation),
         ("silicon_exchanged_current_senses_end_commissioning", exchanged_senses),
         ("silicon_spurious_bus_errors_no_transfer_is_lost", spurious_bus_errors),
+        ("silicon_dead_crystal_is_reported", dead_crystal),
         ("silicon_direct_current_is_zero_in_both_directions", direct_current),
     ];
     tests.into_iter().map(|(name, test)| Trial::test(name, test)).collect()
@@ -142,6 +145,31 @@ fn spurious_bus_errors() -> Result<(), Failed> {
     println!("{ticks} valid ticks, {errors} errors");
     assert_eq!(errors, 0);
     assert!(ticks > 1190, "{ticks}");
+    Ok(())
+}
+
+/// The chip runs from its own oscillator, and says so.
+fn dead_crystal() -> Result<(), Failed> {
+    let made = image(Variant::Default)?;
+    let wiring = Wiring { crystal: Frequency(0), ..Wiring::NUCLEO_G474 };
+    let world = pressed(&made.built);
+    let conditions = ChipConditions::TYPICAL;
+    let mut board =
+        EmulatedBoard::wired(made.image.clone(), conditions, wiring, world, at_rest(1))?;
+    board.run_until(600_000)?;
+    let mut receiver = PacketDecoder::default();
+    let packets = board.take_packets(&mut receiver);
+    let ticks = packets.iter().filter(|(_, packet)| matches!(packet, Packet::Tick(_))).count();
+    assert!(ticks > 300, "{ticks} ticks");
+    let reported = board.take_dated_events().into_iter().any(|(_, event)| match event {
+        Event::Fault(event) => {
+            (event.code, event.source, event.detail) == (Fault::StoreUnsound as u16, 2, 3)
+        }
+        _ => false,
+    });
+    assert!(reported, "no fault");
+    assert_eq!(board.chip.resets, []);
+    assert_eq!(violations(&board), [""; 0]);
     Ok(())
 }
 

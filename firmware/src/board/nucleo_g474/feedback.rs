@@ -10,11 +10,11 @@ use core::mem::forget;
 use embassy_stm32::adc::{Adc, AdcChannel, AdcConfig, Exten, InjectedAdc, SampleTime};
 use embassy_stm32::gpio::{Level, Output, Speed};
 use embassy_stm32::spi::{self, MODE_1, Spi};
-use embassy_stm32::time::Hertz;
 use embassy_stm32::triggers::TIM1_TRGO2;
 use embassy_stm32::{Peri, pac, peripherals};
 use embedded_hal::spi::{ErrorKind, ErrorType, SpiBus};
 
+use crate::board::selected::peripherals::bus_frequency;
 use crate::board::selected::pwm::TRIGGER_LEAD_US;
 use crate::config::constants;
 use crate::motor::as5047::{As5047, PipelinedSpi};
@@ -91,7 +91,7 @@ pub fn rotor_sensor(port: Peri<'static, peripherals::SPI1>, pins: SpiPins) -> Ro
     let (clock, out, into, select) = pins;
     let mut config = spi::Config::default();
     config.mode = MODE_1;
-    config.frequency = Hertz(10_000_000);
+    config.frequency = bus_frequency(10_000_000);
     // The driver library only configures the port: its waits have no limit.
     forget(Spi::new_blocking(port, clock, out, into, config));
     PORT.cr1().modify(|w| w.set_spe(false));
