@@ -577,6 +577,11 @@ impl Soc {
         self.tim1.set_supply_break(is_low, self.now);
     }
 
+    /// The option bytes (OPTR).
+    pub fn option_bytes(&self) -> u32 {
+        self.flash.options()
+    }
+
     /// Programs the option bytes (OPTR) as a debugger does; the chip loads them at its next start.
     pub fn set_option_bytes(&mut self, options: u32) {
         self.flash.set_options(options);

@@ -24,7 +24,7 @@ use crate::motion::{Cell, cell, homed, move_to};
 type Test = fn() -> Result<(), Failed>;
 
 pub fn trials() -> Vec<Trial> {
-    let tests: [(&str, Test); 8] = [
+    let tests: [(&str, Test); 9] = [
         ("silicon_log_reader_stops_no_tick_is_missed", log_reader_stops),
         ("silicon_debugger_halts_core_bridges_are_off", debugger_halts),
         ("silicon_temperatures_after_pauses_are_right", temperatures),
@@ -33,6 +33,7 @@ pub fn trials() -> Vec<Trial> {
         ("silicon_spurious_bus_errors_no_transfer_is_lost", spurious_bus_errors),
         ("silicon_dead_crystal_is_reported", dead_crystal),
         ("silicon_direct_current_is_zero_in_both_directions", direct_current),
+        ("silicon_single_bank_nothing_is_erased", single_bank),
     ];
     tests.into_iter().map(|(name, test)| Trial::test(name, test)).collect()
 }
@@ -205,5 +206,26 @@ fn direct_current() -> Result<(), Failed> {
         assert!(error.abs() < 0.3 * period.abs(), "{error} {period}");
         cell.run(1.0);
     }
+    Ok(())
+}
+
+/// With the option DBANK = 0 an erased page would be one of the image.
+fn single_bank() -> Result<(), Failed> {
+    const DBANK: u32 = 1 << 22;
+    let mut cell = cell(40.0)?;
+    let options = cell.board.chip.soc.option_bytes() & !DBANK;
+    cell.board.chip.soc.set_option_bytes(options);
+    cell.board.chip.power_cycle()?;
+    cell.run(0.4);
+    let image = cell.board.chip.soc.memory(0x0800_0000, 0x4_0000).ok_or("no flash")?.to_vec();
+    cell.host.received.replies.clear();
+    cell.host.service(op::SAVE, 0);
+    cell.until(2.0, |cell| !cell.host.received.replies.is_empty());
+    let reply = cell.host.received.replies.first().map(|(_, reply)| *reply).ok_or("no reply")?;
+    assert_ne!(reply.status, status::DONE, "{reply:?}");
+    let after = cell.board.chip.soc.memory(0x0800_0000, 0x4_0000).ok_or("no flash")?;
+    assert!(image == after, "the image has changed");
+    let found = violations(&cell.board);
+    assert_eq!(found, [""; 0]);
     Ok(())
 }
