@@ -103,9 +103,16 @@ impl CurrentLoop {
     /// The report for the motion loop; clears its events.
     pub fn take_report(&mut self) -> CurrentLoopReport {
         let report = self.report();
-        self.is_reset = false;
-        self.is_angle_lost = false;
+        self.push_report(|_| Ok::<(), ()>(()));
         report
+    }
+
+    /// Passes the report for the motion loop to `push`; clears its events if that was successful.
+    pub fn push_report<E>(&mut self, push: impl FnOnce(CurrentLoopReport) -> Result<(), E>) {
+        if push(self.report()).is_ok() {
+            self.is_reset = false;
+            self.is_angle_lost = false;
+        }
     }
 
     pub(super) fn report(&self) -> CurrentLoopReport {

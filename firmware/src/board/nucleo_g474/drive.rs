@@ -198,8 +198,8 @@ impl CurrentLoopState {
             if let Some(found) = self.inner.take_identification() {
                 let _ = self.results.push(found);
             }
-            // Full when the motion loop has missed its ticks: then the current loop trips by itself.
-            let _ = self.state.push(self.inner.take_report());
+            // Full when the motion loop has missed its ticks: then the events wait, and the current loop trips by itself.
+            self.inner.push_report(|report| self.state.push(report));
             interrupt::CORDIC.pend();
         }
     }

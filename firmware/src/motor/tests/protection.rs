@@ -27,6 +27,22 @@ fn lost_angle_brakes_within_a_millisecond() {
 }
 
 #[test]
+fn events_wait_while_their_queue_is_full() {
+    let mut model = MotorModel::new();
+    let mut motor = armed(&mut model, Settings::assumed(Screw::A));
+    let without_angle = MotorSamples { angle: Err(EncoderError::ErrorFlag), ..model.sensed };
+    let inner = &mut motor.inner;
+    inner.take_report();
+    for _ in 0..20 {
+        inner.tick(&without_angle);
+    }
+    inner.push_report(Err);
+    let report = inner.take_report();
+    assert!(report.is_angle_lost);
+    assert!(!inner.take_report().is_angle_lost);
+}
+
+#[test]
 fn overcurrent_switches_all_bridges_off() {
     let mut model = MotorModel::new();
     let mut motor = armed(&mut model, Settings::assumed(Screw::A));
