@@ -200,6 +200,8 @@ impl CurrentLoop {
     /// Shorted windings carry current: it is still limited.
     fn supervise_brake(&mut self, samples: &MotorSamples, phases: [f32; 3]) -> BridgeCommand {
         match (self.state, check_currents(samples, phases, &self.settings.limits)) {
+            // The low sides need their gate drivers.
+            (MotorState::Tripped(_), Ok(())) if self.bus_v < MIN_BUS_V => BridgeCommand::Off,
             (_, Err(trip)) | (MotorState::Tripped(trip), Ok(())) => self.trip(trip),
             _ => BridgeCommand::Off,
         }
