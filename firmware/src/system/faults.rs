@@ -100,7 +100,7 @@ faults! {
         Supply = 505;
         /// Motor or power stage above its temperature limit.
         Hot = 506;
-        /// The braking current does not slow the rotor, or a control loop has missed its ticks.
+        /// The braking current does not slow the rotor, or a control loop has missed its ticks. Detail: 1 for the latter.
         Runaway = 507;
         /// The power stage has tripped.
         PowerStage = 508;
