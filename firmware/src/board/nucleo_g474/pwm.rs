@@ -46,8 +46,8 @@ pub struct Pins {
         Peri<'static, peripherals::PB14>,
         Peri<'static, peripherals::PB15>,
     ),
-    /// Break input: low on a fault of gate drivers or comparators, and with an open wire. The stage must pull it high against
-    /// the chip's pull-down of 25 to 55 kilohm.
+    /// Break input: low on a fault of gate drivers or comparators, and with an open wire. The stage must pull it high with at
+    /// most 4.7 kilohm, against the chip's pull-down of 25 to 55 kilohm: 47 kilohm never reach the threshold.
     pub stop: Peri<'static, peripherals::PB12>,
 }
 
