@@ -17,7 +17,7 @@ use crate::peripherals::i2c::I2c;
 use crate::peripherals::motor_timer::{Moment, MotorTimer};
 use crate::peripherals::power::Pwr;
 use crate::peripherals::rng::Rng;
-use crate::peripherals::spi::Spi;
+use crate::peripherals::spi::{self, Spi};
 use crate::peripherals::syscfg::{BreakSource, Dbgmcu, Syscfg};
 use crate::peripherals::timer::Timer;
 use crate::peripherals::usart::Usart;
@@ -50,6 +50,8 @@ const DBGMCU: u32 = 0xE004_2000;
 /// 30 degrees Celsius and 2.5 mV per kelvin.
 const CALIBRATION_30_C: u32 = 0x1FFF_75A8;
 const CALIBRATION_130_C: u32 = 0x1FFF_75CA;
+/// Shortest time from an edge of the rotor sensor's select.
+const SELECT: Time = Time::from_ns(350);
 /// Counts at both addresses.
 pub const TEMPERATURE_CALIBRATION: [u32; 2] = [1037, 1379];
 
@@ -244,6 +246,8 @@ pub struct Soc {
     has_motor_trigger: bool,
     /// Cuts of SRAM that were not accessed since the reset: bits of SRAM1, SRAM2, CCM.
     untouched: u8,
+    /// Last edge of the rotor sensor's select.
+    encoder_edge: Time,
     /// Alternate functions of the six bridge pins, the break, the serial line, CAN, both SPI devices, and the sensor buses.
     functions: Functions,
 }
@@ -365,6 +369,7 @@ impl Soc {
             is_break_wire_open: false,
             has_motor_trigger: true,
             untouched: 0,
+            encoder_edge: Time::ZERO,
             functions,
             options,
         };
@@ -416,6 +421,7 @@ impl Soc {
             is_break_wire_open: self.is_break_wire_open,
             has_motor_trigger: self.has_motor_trigger,
             untouched: self.untouched,
+            encoder_edge: self.encoder_edge,
             functions: self.functions.clone(),
         }
     }
@@ -1043,6 +1049,9 @@ impl Soc {
     }
 
     fn store(&mut self, entry: Entry, offset: u32, value: u32, width: u32) {
+        if entry.block == Block::Spi(0) && offset == spi::DATA {
+            self.check_encoder_edge("the rotor sensor is clocked within 350 ns of its select");
+        }
         let functions = &self.functions;
         let has = |pins: &[(Pin, u8)]| {
             pins.iter().all(|(pin, function)| {
@@ -1117,7 +1126,7 @@ impl Soc {
             Block::Spi(number) => {
                 let [.., select] = self.options.wiring.spi(number);
                 let is_selected = self.gpio[select.port].driven(select.number) == Some(false);
-                let pins = [has(&functions.spi[number]), is_selected];
+                let pins = [has(&self.functions.spi[number]), is_selected];
                 let clocks = *self.rcc.clocks();
                 let bus = if number == 0 { clocks.apb2 } else { clocks.apb1 };
                 let cycles = |count| bus.cycles(count);
@@ -1244,6 +1253,14 @@ impl Soc {
                 if is_high {
                     self.spi[number].deselect();
                 }
+                if number == 0 {
+                    if !is_high {
+                        self.check_encoder_edge(
+                            "the rotor sensor's select is high for less than 350 ns",
+                        );
+                    }
+                    self.encoder_edge = self.now;
+                }
                 self.devices.spi[number].select(self.now, !is_high);
             }
         }
@@ -1263,6 +1280,14 @@ impl Soc {
         }
         self.refresh(Block::Exti);
         self.update_connections();
+    }
+
+    /// The AS5047P needs 350 ns from each edge of its select to what follows (datasheet, table 14: tL, tCSn).
+    fn check_encoder_edge(&mut self, detail: &'static str) {
+        if self.now.since(self.encoder_edge) < SELECT {
+            let address = base_of(&self.entries, Block::Spi(0));
+            self.violations.report(Kind::Misconfigured, address, detail);
+        }
     }
 
     fn port_levels(&self, port: usize) -> u16 {
