@@ -27,6 +27,7 @@ pub mod core;
 pub mod devices;
 pub mod image;
 pub mod log;
+mod mpu;
 pub mod peripherals;
 pub mod registers;
 pub mod soc;

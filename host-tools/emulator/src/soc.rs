@@ -5,6 +5,7 @@ use std::ops::Range;
 
 use crate::core::{Bus, BusError, SystemControl, Width};
 use crate::devices::{CanBus, Drivetrain, EmptyI2cBus, I2cBus, SerialLine, SpiDevice};
+use crate::mpu::Mpu;
 use crate::peripherals::Context;
 use crate::peripherals::adc::{self, Adc, Inputs, Trigger};
 use crate::peripherals::clocks::{Rcc, ResetCause};
@@ -30,6 +31,8 @@ use crate::wiring::Wiring;
 /// SRAM1 and SRAM2, one behind the other (RM0440 2.4).
 pub const SRAM: u32 = 0x2000_0000;
 const SRAM_SIZE: usize = 96 * 1024;
+/// Reserved addresses directly below SRAM, behind the system memory.
+const BELOW_SRAM: u32 = 0x1FFF_8000;
 /// Where SRAM2 begins; it, SRAM1 and core-coupled memory are the cuts of SRAM.
 const SRAM_2: u32 = SRAM + 80 * 1024;
 const ALL_CUTS: u8 = 7;
@@ -209,6 +212,7 @@ pub struct Soc {
     pwr: Pwr,
     syscfg: Syscfg,
     dbgmcu: Dbgmcu,
+    mpu: Mpu,
     exti: Exti,
     gpio: [Gpio; 7],
     dma: Dma,
@@ -341,6 +345,7 @@ impl Soc {
             pwr: Pwr::new(),
             syscfg: Syscfg::default(),
             dbgmcu: Dbgmcu::default(),
+            mpu: Mpu::default(),
             exti: Exti::new(),
             gpio: std::array::from_fn(Gpio::new),
             dma: Dma::new(),
@@ -393,6 +398,7 @@ impl Soc {
             pwr: self.pwr.clone(),
             syscfg: self.syscfg.clone(),
             dbgmcu: self.dbgmcu.clone(),
+            mpu: self.mpu.clone(),
             exti: self.exti.clone(),
             gpio: self.gpio.clone(),
             dma: self.dma.clone(),
@@ -443,6 +449,7 @@ impl Soc {
         self.pwr.reset();
         self.syscfg = Syscfg::default();
         self.dbgmcu = Dbgmcu::default();
+        self.mpu = Mpu::default();
         self.exti = Exti::new();
         for (port, gpio) in self.gpio.iter_mut().enumerate() {
             gpio.reset(port);
@@ -1332,7 +1339,8 @@ impl Soc {
                 Ok(if address == CALIBRATION_30_C { cold } else { hot })
             }
             DBGMCU..=0xE004_23FF => Ok(self.dbgmcu.read(address - DBGMCU, context!(self, DBGMCU))),
-            PRIVATE..=0xE00F_FFFF => match self.system.read(address) {
+            BELOW_SRAM..SRAM => self.access_gap(address).map(|()| 0),
+            PRIVATE..=0xE00F_FFFF => match self.mpu.read(address).or(self.system.read(address)) {
                 Some(value) => Ok(lanes(value, address, bytes)),
                 None => {
                     self.violations.report(Kind::UnmodelledRegister, address, "not emulated");
@@ -1359,8 +1367,9 @@ impl Soc {
                 self.dbgmcu.write(address - DBGMCU, value, context!(self, DBGMCU));
                 Ok(())
             }
+            BELOW_SRAM..SRAM => self.access_gap(address),
             PRIVATE..=0xE00F_FFFF => {
-                if !self.system.write(address, width, value) {
+                if !self.mpu.write(address, value) && !self.system.write(address, width, value) {
                     self.violations.report(Kind::UnmodelledRegister, address, "not emulated");
                 }
                 Ok(())
@@ -1382,6 +1391,19 @@ impl Soc {
             }
             _ => Err(BusError),
         }
+    }
+
+    /// Nothing is there, and whether an access faults is not stated: here a store is lost, and a load gives zero.
+    fn access_gap(&mut self, address: u32) -> Result<(), BusError> {
+        if self.mpu.forbids(address) {
+            return Err(BusError);
+        }
+        self.violations.report(
+            Kind::UnmodelledRegister,
+            BELOW_SRAM,
+            "reserved addresses below SRAM",
+        );
+        Ok(())
     }
 
     /// The first access to a cut of SRAM after a reset: a write is lost (ES0430 2.2.7). Whether this is one.

@@ -66,6 +66,7 @@ impl Bsp for NucleoG474 {
 
     fn init() -> Peripherals<Self> {
         sync::lower_all_interrupts();
+        crash::guard_stack();
         let mut config = embassy_stm32::Config::default();
         // Below the motor interrupt.
         config.bdma_interrupt_priority = Priority::P1;
