@@ -20,7 +20,7 @@
 //!
 //! The models were written from manuals and drivers; nothing was compared with a chip. A misunderstanding that driver and
 //! model share goes unnoticed. Contention on the chip's buses, the flash caches' contents, analogue behaviour, edges on
-//! lines, errata, the shape of a falling supply, parity errors of SRAM and electromagnetic interference are not emulated.
+//! lines, errata but those of the README, the shape of a falling supply, parity errors of SRAM and electromagnetic interference are not emulated.
 
 pub mod chip;
 pub mod core;
