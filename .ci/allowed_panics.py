@@ -42,7 +42,7 @@ RULES = (
         START,
     ),
     Allowed(
-        r"\bembassy-stm32/.* < firmware/src/board/nucleo_g474/(drive|feedback|pwm)\.rs::",
+        r"\bembassy-stm32/(.* < firmware/src/board/nucleo_g474/(drive|feedback|pwm)\.rs::|src/rcc/mod\.rs::enable_and_reset$)",
         "Start of the motor's peripherals from constants, before anything is received; the start on the emulated chip ends "
         "without a panic.",
         BEGIN,
@@ -113,9 +113,5 @@ RULES = (
         r"\bembassy-stm32/src/flash/(common\.rs::get_sector|asynch\.rs::write_chunked|mod\.rs::(sectors|base))\b",
         "Pages and words are those of the parameters and of the calibration slots, whose size limits an upload; a write is "
         "one word.",
-    ),
-    Allowed(
-        r"\bembassy-stm32/src/adc/g4\.rs::configure_sequence\b",
-        "The channels and their number are constants.",
     ),
 )

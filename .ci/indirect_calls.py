@@ -36,11 +36,6 @@ RULES = (
         "The task checks each of the tables that it is given.",
     ),
     Rule(
-        r"^defmt-rtt/src/channel\.rs::write_all\b",
-        r"^defmt-rtt/src/channel\.rs::(non)?blocking_write$",
-        "The log waits for a debugger or not.",
-    ),
-    Rule(
         r"^(embassy-sync/src/channel\.rs::try_(send|receive) < )?embassy-stm32/src/can/fdcan\.rs::on_interrupt\b",
         "",
         "Buffered CAN is not used, and the image has no implementation of its queues.",

@@ -9,12 +9,11 @@ const KERNELS_EMULATED: &str = "0x20018000";
 
 fn main() {
     if env::var("CARGO_CFG_TARGET_OS").is_ok_and(|system| system == "none") {
+        link();
         println!("cargo:rustc-link-arg-examples=--defsym=_kernels={KERNELS_EMULATED}");
     }
     println!("cargo:rerun-if-env-changed=MAGPIE_TABLES");
     let root = PathBuf::from(env::var_os("CARGO_MANIFEST_DIR").unwrap_or_default());
-    // Cargo does not track the linker script.
-    println!("cargo:rerun-if-changed={}", root.join("../memory.x").display());
     let own = root.join("src/model/tables.rs");
     let specified = env::var_os("MAGPIE_TABLES").filter(|path| !path.is_empty());
     let path = match specified {
@@ -35,4 +34,18 @@ fn main() {
     );
     println!("cargo:rerun-if-changed={}", path.display());
     println!("cargo:rustc-env=MAGPIE_TABLES_SOURCE={}", path.display());
+}
+
+/// Arguments of the linker, which finds `memory.x` wherever cargo is called from.
+fn link() {
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../memory.x");
+    let folder = PathBuf::from(env::var_os("OUT_DIR").unwrap_or_default());
+    let copied = std::fs::copy(&script, folder.join("memory.x"));
+    assert!(copied.is_ok(), "{}: {copied:?}", script.display());
+    // Cargo does not track the linker script.
+    println!("cargo:rerun-if-changed={}", script.display());
+    println!("cargo:rustc-link-search={}", folder.display());
+    for argument in ["--nmagic", "-Tlink.x", "-Tdefmt.x"] {
+        println!("cargo:rustc-link-arg={argument}");
+    }
 }

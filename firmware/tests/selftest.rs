@@ -31,7 +31,7 @@ const BUDGETS: [(&str, u32); 18] = [
     ("motor_millisecond", 14_900),
     ("grip_tick", 2420),
     ("grip_mean", 2050),
-    ("grip_idle", 1200),
+    ("grip_idle", 1050),
     // All tasks of a millisecond with networks of two layers of 16 units for four sensors: mean, maximum, and mean during a
     // flood of 21,000 frames a second.
     ("loops_mean", 30_000),

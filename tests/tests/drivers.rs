@@ -268,12 +268,12 @@ fn start_rotor_sensor(attempts: &[[u16; 2]]) -> Result<(), EncoderError> {
     };
     let pair = |&[first, second]: &[u16; 2]| [frame(0x4001, first), frame(0xC000, second)].concat();
     let bus = spi::Mock::new(&attempts.iter().flat_map(pair).collect::<Vec<_>>());
-    // Each frame is enclosed by the chip select, with 350 ns on both sides.
+    // Each frame is enclosed by the chip select, with more than 350 ns before each edge to low and each frame.
     let edges = [digital::State::Low, digital::State::High].repeat(2 * attempts.len());
     let edges: Vec<_> = edges.into_iter().map(digital::Transaction::set).collect();
     let select = digital::Mock::new(&edges);
     let waits = |attempt| {
-        let mut waits = vec![delay::Transaction::blocking_delay_ns(350); 4];
+        let mut waits = vec![delay::Transaction::blocking_delay_ns(1350); 4];
         if attempt > 0 {
             waits.insert(0, delay::Transaction::blocking_delay_ms(10));
         }

@@ -83,8 +83,9 @@ impl I2cTiming {
 /// that clock or the edges do not allow any.
 pub const fn i2c_timing(kernel_hz: u32, mode: I2cMode, edges: EdgeTimes) -> Option<I2cTiming> {
     let limits = mode.limits();
-    // Four peripheral clocks must fit into the low phase, less the filter delay.
-    let in_time = 4_000_000_000 <= (limits.low - FILTER.0) as u64 * kernel_hz as u64;
+    // Four peripheral clocks must fit into the low phase, less the longest delay of the filter: in Fast-mode Plus that needs
+    // 17 MHz (RM0440 41.4.2; ES0430 2.15.1: else data may be sampled wrongly).
+    let in_time = 4_000_000_000 <= (limits.low - FILTER.1) as u64 * kernel_hz as u64;
     if edges.rise > limits.rise || !in_time {
         return None;
     }
@@ -218,7 +219,8 @@ mod tests {
     #[test]
     fn no_timing_for_slow_clock_or_slow_edges() {
         assert_eq!(i2c_timing(0, I2cMode::Fast, EDGES[0]), None);
-        assert_eq!(i2c_timing(1_000_000, I2cMode::FastPlus, EDGES[0]), None);
+        assert_eq!(i2c_timing(16_000_000, I2cMode::FastPlus, EDGES[0]), None);
+        assert!(i2c_timing(17_000_000, I2cMode::FastPlus, EDGES[0]).is_some());
         let slow = EdgeTimes { rise: 121, fall: 10 };
         assert_eq!(i2c_timing(160_000_000, I2cMode::FastPlus, slow), None);
     }

@@ -77,7 +77,7 @@ pub struct Peripherals<B: Bsp> {
     pub flash: B::Flash,
     /// Where they are.
     pub flash_offsets: FlashOffsets,
-    /// The chip's persistent configuration is unsuitable: a non-zero code of the board.
+    /// The chip's persistent configuration is unsuitable, or its crystal does not start: a non-zero code of the board.
     pub configuration_defect: Option<u32>,
     /// Temperatures of chip, motor and power stage.
     pub thermometer: B::Thermometer,
@@ -98,7 +98,7 @@ pub struct FlashOffsets {
 
 /// Temperature sensors of a board.
 pub trait Thermometer {
-    /// Measures all temperatures; blocks for less than 100 us.
+    /// The latest temperatures.
     fn measure(&mut self) -> BoardTemperatures;
 }
 

@@ -141,7 +141,9 @@ pub const BUS_SCALE: Constant = assumed("bus voltage scale", 15.0, "mV/LSB", "12
 pub const ENCODER_BITS: Constant =
     assumed("rotor angle", 14.0, "bit", "the paper names no rotor sensor; absolute, magnetic");
 /// Maximum duty cycle; the remainder is for the current measurement.
-pub const MODULATION: Constant = assumed("modulation", 0.95, "", "2.5 us with all low sides on");
+pub const MODULATION: Constant = assumed("modulation", 0.93, "", "3.5 us without a high side");
+/// Time from the switching of a low side until its current amplifier is valid.
+pub const AMPLIFIER_SETTLING: Constant = assumed("amplifier settling", 1.0, "us", "DRV8316");
 /// Crossover of the current loop.
 pub const CURRENT_BANDWIDTH: Constant =
     assumed("current loop", 1100.0, "Hz", "a period's delay leaves 70 degrees");
@@ -285,6 +287,7 @@ pub const ALL: &[Constant] = &[
     BUS_SCALE,
     ENCODER_BITS,
     MODULATION,
+    AMPLIFIER_SETTLING,
     CURRENT_BANDWIDTH,
     SPEED_BANDWIDTH,
     SPEED_SETPOINT_WEIGHT,

@@ -12,7 +12,7 @@ use crate::grip::transitions::{self, PowerEvent};
 use crate::grip::{ArmingRequest, ControlInputs, ControlOutputs, GripController};
 use crate::motor::calibration::{CalibrationFailure, CalibrationKind};
 use crate::motor::state::SupplyState;
-use crate::motor::{MotorState, MotorStatus};
+use crate::motor::{MotorState, MotorStatus, Trip};
 use crate::system::faults::Fault;
 
 /// Milliseconds for which a host's clear is in effect: a motor trip ends only once the motor is disarmed.
@@ -25,8 +25,10 @@ impl GripController {
             MotorState::Tripped(trip) => Some(fault_of(trip)),
             _ => None,
         };
+        // Both are [`Fault::Runaway`]: the heartbeat has no bit left.
+        let is_late = inputs.motor.state == MotorState::Tripped(Trip::CommandTimeout);
         for fault in TRIP_FAULTS {
-            self.set_fault(fault, tripped == Some(fault), 0, outputs);
+            self.set_fault(fault, tripped == Some(fault), is_late.into(), outputs);
         }
         let is_armed = inputs.motor.state == MotorState::Armed;
         let is_out_of_range = is_armed && inputs.motor.supply != SupplyState::Sound;

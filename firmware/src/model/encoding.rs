@@ -177,6 +177,7 @@ macro_rules! integers {
         impl Decode<'_> for $type {
             const ZERO: Self = 0;
 
+            #[inline(never)] // Its many calls are smaller than its code.
             fn read(&mut self, reader: &mut Reader) -> Option<()> {
                 *self = Self::from_le_bytes(reader.bytes()?);
                 Some(())

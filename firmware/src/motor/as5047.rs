@@ -23,8 +23,9 @@ const ERROR: u16 = 1 << 14;
 /// Data bits of an answer.
 pub const DATA: u16 = 0x3FFF;
 
-/// Time from the chip select to the clock, and between two frames, in nanoseconds.
-const SELECT_NS: u32 = 350;
+/// Time from an edge of the chip select to the next edge or clock, in nanoseconds: 350, and a microsecond by which a clock that counts
+/// these may end a delay early.
+const SELECT_NS: u32 = 1350;
 /// Time from power-up to the first valid answer in milliseconds.
 const POWER_UP_MS: u32 = 10;
 /// Attempts of [`As5047::start`].
@@ -119,12 +120,12 @@ impl<B: SpiBus<u16>, C: OutputPin> As5047<B, C> {
         delay: &mut D,
     ) -> Result<u16, EncoderError> {
         let mut frame = [command];
+        delay.delay_ns(SELECT_NS);
         self.select.set_low().map_err(|_| EncoderError::Silent)?;
         delay.delay_ns(SELECT_NS);
         let transferred = self.bus.transfer_in_place(&mut frame).and_then(|()| self.bus.flush());
         // After an error as well: the next frame begins with the edge of the chip select.
         self.select.set_high().map_err(|_| EncoderError::Silent)?;
-        delay.delay_ns(SELECT_NS);
         let [answer] = frame;
         transferred.map(|()| answer).map_err(|_| EncoderError::Silent)
     }

@@ -70,11 +70,13 @@ pub enum CalibrationFailure {
     Force = 13,
     /// The part between the fingers is too soft for the backdrive test; it might be a hand.
     SoftPart = 14,
+    /// See [`CommissioningError::CurrentSense`].
+    CurrentSense = 15,
 }
 
 impl CalibrationFailure {
     /// All reasons.
-    pub const ALL: [Self; 14] = [
+    pub const ALL: [Self; 15] = [
         Self::NotAllowed,
         Self::NotReady,
         Self::Tripped,
@@ -89,6 +91,7 @@ impl CalibrationFailure {
         Self::Fault,
         Self::Force,
         Self::SoftPart,
+        Self::CurrentSense,
     ];
 
     const fn of(error: CommissioningError) -> Self {
@@ -96,6 +99,7 @@ impl CalibrationFailure {
             CommissioningError::NoCurrent { .. } => Self::NoCurrent,
             CommissioningError::Resistance { .. } => Self::Resistance,
             CommissioningError::Inductance { .. } => Self::Inductance,
+            CommissioningError::CurrentSense => Self::CurrentSense,
             CommissioningError::Stuck => Self::Stuck,
             CommissioningError::PolePairs { .. } => Self::PolePairs,
             CommissioningError::Slipped => Self::Slipped,

@@ -5,7 +5,7 @@
 //!
 //! 1. A current along phase U at two levels. The difference of the voltages gives the resistance, without the dead
 //!    time. The rotor aligns with phase U.
-//! 2. The field turns forward by two electrical turns and back. The rotation of the rotor gives pole pairs and
+//! 2. The field turns forward by two electrical turns and back; the measured current must turn with it. The rotation of the rotor gives pole pairs and
 //!    direction; the mean of its positions at phase U after either direction, between which friction cancels, gives
 //!    the offset of the sensor.
 //! 3. A square wave added to the voltage of the upper level. The slopes of the current give the inductance.
@@ -24,6 +24,10 @@ const AVERAGE: u32 = 1_024;
 const TURN: u32 = 10_000;
 /// Electrical turns of each rotation.
 const TURNS: u32 = 2;
+/// Periods over which the current is compared with the turning field: 37 degrees.
+const WINDOW: u32 = 512;
+/// Tangent of the greatest angle between them: 30 degrees.
+const DIRECTION_TOLERANCE: f32 = 0.577;
 /// Periods of rest after each rotation.
 const PAUSE: u32 = 4_000;
 /// Periods of the square wave, eight per cycle.
@@ -73,6 +77,8 @@ pub enum CommissioningError {
         /// Measured number.
         measured: f32,
     },
+    /// The measured current does not follow the field as it turns: current sensors are exchanged or inverted.
+    CurrentSense,
     /// The rotor did not return to its start: it slipped or was turned.
     Slipped,
 }
@@ -80,8 +86,8 @@ pub enum CommissioningError {
 /// Measurements of one period.
 #[derive(Clone, Copy, Debug)]
 pub struct CommissioningInputs {
-    /// Current along phase U in amperes.
-    pub alpha_a: f32,
+    /// Current in amperes.
+    pub current: AlphaBeta,
     /// Angle of the rotor sensor in 2^-32 turns.
     pub angle: u32,
     /// Available voltage in volts.
@@ -119,6 +125,8 @@ pub struct Commissioning {
     sum_a: f32,
     lower: [f32; 2],
     resistance_ohm: f32,
+    /// Sum of the currents in the axes of the turning field.
+    along: Dq,
     /// Rotor angle after one forward turn, after both, and at rest.
     angles: [u32; 3],
     /// Rotor angle at rest after the backward rotation.
@@ -173,11 +181,11 @@ impl Commissioning {
             (constants::RATED_TORQUE.value / constants::TORQUE_CONSTANT.value) as f32;
         let [low, high] = LEVELS;
         let level_a = RATED_A * if upper == 0 { low } else { high };
-        let volts = self.volts + INTEGRAL_GAIN * PERIOD_S * (level_a - inputs.alpha_a);
+        let volts = self.volts + INTEGRAL_GAIN * PERIOD_S * (level_a - inputs.current.alpha);
         self.volts = volts.min(MAX_V.min(inputs.max_v)).max(-MAX_V);
         if self.periods > SETTLE {
             self.sum_v += self.volts;
-            self.sum_a += inputs.alpha_a;
+            self.sum_a += inputs.current.alpha;
         }
         if self.periods >= SETTLE + AVERAGE {
             const SHARE: f32 = 1.0 / AVERAGE as f32;
@@ -216,6 +224,16 @@ impl Commissioning {
     }
 
     fn turn_forward(&mut self, inputs: &CommissioningInputs) -> CommissioningStep {
+        let Dq { d, q } = inputs.current.to_rotor(Direction::of(self.rotation()));
+        self.along = Dq { d: self.along.d + d, q: self.along.q + q };
+        if self.periods.is_multiple_of(WINDOW) {
+            let Dq { d, q } = core::mem::take(&mut self.along);
+            // False for NaN.
+            let is_along = q.abs() <= DIRECTION_TOLERANCE * d;
+            if !is_along {
+                return CommissioningStep::Ended(Err(CommissioningError::CurrentSense));
+            }
+        }
         let [half, whole, _] = &mut self.angles;
         if self.periods == TURN / TURNS {
             *half = inputs.angle;
@@ -255,8 +273,8 @@ impl Commissioning {
     fn square_wave(&mut self, inputs: &CommissioningInputs) -> CommissioningStep {
         // A current step results from the voltages of the two periods before it.
         let rises = |tick: u32| tick % 8 < 4;
-        let step = inputs.alpha_a - self.last_a;
-        self.last_a = inputs.alpha_a;
+        let step = inputs.current.alpha - self.last_a;
+        self.last_a = inputs.current.alpha;
         let (one, two) = (self.periods.wrapping_sub(1), self.periods.wrapping_sub(2));
         if self.periods > 16 && rises(one) == rises(two) {
             let slopes = if rises(one) { &mut self.rises } else { &mut self.falls };

@@ -103,9 +103,16 @@ impl CurrentLoop {
     /// The report for the motion loop; clears its events.
     pub fn take_report(&mut self) -> CurrentLoopReport {
         let report = self.report();
-        self.is_reset = false;
-        self.is_angle_lost = false;
+        self.push_report(|_| Ok::<(), ()>(()));
         report
+    }
+
+    /// Passes the report for the motion loop to `push`; clears its events if that was successful.
+    pub fn push_report<E>(&mut self, push: impl FnOnce(CurrentLoopReport) -> Result<(), E>) {
+        if push(self.report()).is_ok() {
+            self.is_reset = false;
+            self.is_angle_lost = false;
+        }
     }
 
     pub(super) fn report(&self) -> CurrentLoopReport {
@@ -193,6 +200,8 @@ impl CurrentLoop {
     /// Shorted windings carry current: it is still limited.
     fn supervise_brake(&mut self, samples: &MotorSamples, phases: [f32; 3]) -> BridgeCommand {
         match (self.state, check_currents(samples, phases, &self.settings.limits)) {
+            // The low sides need their gate drivers.
+            (MotorState::Tripped(_), Ok(())) if self.bus_v < MIN_BUS_V => BridgeCommand::Off,
             (_, Err(trip)) | (MotorState::Tripped(trip), Ok(())) => self.trip(trip),
             _ => BridgeCommand::Off,
         }
@@ -297,7 +306,7 @@ impl CurrentLoop {
             return self.trip(Trip::NotANumber);
         };
         let inputs = CommissioningInputs {
-            alpha_a: current.alpha,
+            current,
             angle: self.tracker.angle(),
             max_v: foc::max_v(self.bus_v),
         };

@@ -274,15 +274,15 @@ mod tests {
     fn duty_cycles_of_known_voltages() {
         // Zero voltage.
         let none = duties(AlphaBeta::default(), 24.0);
-        assert_eq!(none, [0.475; 3]);
+        assert_eq!(none, [0.465; 3]);
         // 12 V along U: phases 12, -6, -6; their middle 3; (9, -9, -9) of 24.
         let along = duties(AlphaBeta { alpha: 12.0, beta: 0.0 }, 24.0);
-        for (duty, expected) in along.into_iter().zip([0.85, 0.1, 0.1]) {
+        for (duty, expected) in along.into_iter().zip([0.84, 0.09, 0.09]) {
             assert!((duty - expected).abs() < 1e-6, "{along:?}");
         }
         // 10 V along beta: phases 0, 8.66, -8.66; their middle 0.
         let across = duties(AlphaBeta { alpha: 0.0, beta: 10.0 }, 24.0);
-        for (duty, expected) in across.into_iter().zip([0.475, 0.835_843_9, 0.114_156_1]) {
+        for (duty, expected) in across.into_iter().zip([0.465, 0.825_843_9, 0.104_156_1]) {
             assert!((duty - expected).abs() < 1e-6, "{across:?}");
         }
     }

@@ -55,7 +55,7 @@ faults! {
         TablesUnsound = 200;
         /// Stored parameters and key (source 0) are damaged, and defaults or those saved before are used; or an uploaded
         /// calibration (source 1), and the previous or the linked one is used; or the chip's option bytes (source 2) are
-        /// unsuitable. Detail: the reason.
+        /// unsuitable, or its crystal does not start. Detail: the reason.
         StoreUnsound = 201;
         /// Ticks were missed. Detail: how many since boot.
         TicksMissed = 300;
@@ -100,7 +100,7 @@ faults! {
         Supply = 505;
         /// Motor or power stage above its temperature limit.
         Hot = 506;
-        /// The braking current does not slow the rotor, or a control loop has missed its ticks.
+        /// The braking current does not slow the rotor, or a control loop has missed its ticks. Detail: 1 for the latter.
         Runaway = 507;
         /// The power stage has tripped.
         PowerStage = 508;

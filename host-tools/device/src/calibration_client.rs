@@ -321,6 +321,9 @@ const fn failure_text(failure: CalibrationFailure) -> &'static str {
         CalibrationFailure::Fault => "a fault stopped it: see the faults in `cargo magpie monitor`",
         CalibrationFailure::Force => "something presses on the fingers: remove it",
         CalibrationFailure::SoftPart => "the part is too soft; it might be a hand: use a rigid one",
+        CalibrationFailure::CurrentSense => {
+            "the measured currents do not turn with the field: exchange the current senses of V and W, or the poles of a shunt"
+        }
     }
 }
 

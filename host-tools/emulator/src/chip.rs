@@ -51,6 +51,8 @@ enum CoreState {
     LockedUp,
     /// In reset while the supply is too low.
     Held,
+    /// By a debugger.
+    Halted,
 }
 
 /// The chip.
@@ -282,6 +284,17 @@ impl Chip {
     /// As [`Self::core`], to change them.
     pub fn core_mut(&mut self) -> &mut Core {
         &mut self.core
+    }
+
+    /// A debugger that has asked for the whole log stops reading it: its cable is pulled, or its program has ended.
+    pub fn stall_log(&mut self) {
+        self.log.stall(&mut self.soc);
+    }
+
+    /// A debugger halts the core, or lets it run again.
+    pub fn set_halted(&mut self, is_halted: bool) {
+        self.state = if is_halted { CoreState::Halted } else { CoreState::Running };
+        self.soc.set_halted(is_halted);
     }
 
     /// Lines of the log so far.

@@ -20,13 +20,14 @@
 //!
 //! The models were written from manuals and drivers; nothing was compared with a chip. A misunderstanding that driver and
 //! model share goes unnoticed. Contention on the chip's buses, the flash caches' contents, analogue behaviour, edges on
-//! lines, errata, the shape of a falling supply, parity errors of SRAM and electromagnetic interference are not emulated.
+//! lines, errata but those of the README, the shape of a falling supply, parity errors of SRAM and electromagnetic interference are not emulated.
 
 pub mod chip;
 pub mod core;
 pub mod devices;
 pub mod image;
 pub mod log;
+mod mpu;
 pub mod peripherals;
 pub mod registers;
 pub mod soc;

@@ -12,6 +12,9 @@ const BUFFER: u32 = 28;
 const SIZE: u32 = 32;
 const WRITE: u32 = 36;
 const READ: u32 = 40;
+const FLAGS: u32 = 44;
+/// Flags of a debugger that wants every byte: a full buffer blocks the program.
+const BLOCKING: u32 = 2;
 const IDENTIFIER: &[u8] = b"SEGGER RTT";
 
 /// A line of the log.
@@ -33,6 +36,8 @@ pub(crate) struct Log {
     table: Option<&'static Table>,
     decoder: Option<Box<dyn StreamDecoder + Send + Sync>>,
     pub(crate) lines: Vec<LogLine>,
+    /// The debugger has stopped reading.
+    is_stalled: bool,
 }
 
 impl Log {
@@ -40,13 +45,25 @@ impl Log {
         let block = image.symbols_named("_SEGGER_RTT").next().map(|symbol| symbol.address);
         let table = Table::parse(&image.elf).ok().flatten();
         let table: Option<&'static Table> = table.map(|table| &*Box::leak(Box::new(table)));
-        Self { block, table, decoder: table.map(Table::new_stream_decoder), lines: Vec::new() }
+        Self {
+            block,
+            table,
+            decoder: table.map(Table::new_stream_decoder),
+            lines: Vec::new(),
+            is_stalled: false,
+        }
     }
 
     /// A copy that begins with the next line.
     pub(crate) fn copy(&self) -> Self {
         let decoder = self.table.map(Table::new_stream_decoder);
-        Self { block: self.block, table: self.table, decoder, lines: self.lines.clone() }
+        Self {
+            block: self.block,
+            table: self.table,
+            decoder,
+            lines: self.lines.clone(),
+            is_stalled: self.is_stalled,
+        }
     }
 
     /// Begins anew after a reset: what had not ended is lost.
@@ -54,9 +71,22 @@ impl Log {
         self.decoder = self.table.map(Table::new_stream_decoder);
     }
 
+    /// The debugger asks for every byte, as probe-rs does, and stops reading: its cable is pulled. The buffer is full.
+    pub(crate) fn stall(&mut self, soc: &mut Soc) {
+        self.read(soc);
+        self.is_stalled = true;
+        let Some(block) = self.block else { return };
+        let word =
+            |offset| Some(u32::from_le_bytes(soc.memory(block + offset, 4)?.try_into().ok()?));
+        if let (Some(write), Some(size)) = (word(WRITE), word(SIZE)) {
+            soc.write_memory(block + READ, &((write + 1) % size.max(1)).to_le_bytes());
+            soc.write_memory(block + FLAGS, &BLOCKING.to_le_bytes());
+        }
+    }
+
     /// Reads what the program has written since.
     pub(crate) fn read(&mut self, soc: &mut Soc) {
-        let Some(block) = self.block else { return };
+        let Some(block) = self.block.filter(|_| !self.is_stalled) else { return };
         if soc.memory(block, IDENTIFIER.len()) != Some(IDENTIFIER) {
             return;
         }

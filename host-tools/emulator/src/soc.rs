@@ -5,8 +5,9 @@ use std::ops::Range;
 
 use crate::core::{Bus, BusError, SystemControl, Width};
 use crate::devices::{CanBus, Drivetrain, EmptyI2cBus, I2cBus, SerialLine, SpiDevice};
+use crate::mpu::Mpu;
 use crate::peripherals::Context;
-use crate::peripherals::adc::{self, Adc, Inputs};
+use crate::peripherals::adc::{self, Adc, Inputs, Trigger};
 use crate::peripherals::clocks::{Rcc, ResetCause};
 use crate::peripherals::dma::{Dma, Transfer};
 use crate::peripherals::exti::Exti;
@@ -17,7 +18,7 @@ use crate::peripherals::i2c::I2c;
 use crate::peripherals::motor_timer::{Moment, MotorTimer};
 use crate::peripherals::power::Pwr;
 use crate::peripherals::rng::Rng;
-use crate::peripherals::spi::Spi;
+use crate::peripherals::spi::{self, Spi};
 use crate::peripherals::syscfg::{BreakSource, Dbgmcu, Syscfg};
 use crate::peripherals::timer::Timer;
 use crate::peripherals::usart::Usart;
@@ -30,6 +31,11 @@ use crate::wiring::Wiring;
 /// SRAM1 and SRAM2, one behind the other (RM0440 2.4).
 pub const SRAM: u32 = 0x2000_0000;
 const SRAM_SIZE: usize = 96 * 1024;
+/// Reserved addresses directly below SRAM, behind the system memory.
+const BELOW_SRAM: u32 = 0x1FFF_8000;
+/// Where SRAM2 begins; it, SRAM1 and core-coupled memory are the cuts of SRAM.
+const SRAM_2: u32 = SRAM + 80 * 1024;
+const ALL_CUTS: u8 = 7;
 /// Core-coupled memory, where the core fetches without waiting; the system bus shows it behind SRAM2 as well.
 const CCM: u32 = 0x1000_0000;
 const CCM_SIZE: usize = 32 * 1024;
@@ -47,6 +53,8 @@ const DBGMCU: u32 = 0xE004_2000;
 /// 30 degrees Celsius and 2.5 mV per kelvin.
 const CALIBRATION_30_C: u32 = 0x1FFF_75A8;
 const CALIBRATION_130_C: u32 = 0x1FFF_75CA;
+/// Shortest time from an edge of the rotor sensor's select.
+const SELECT: Time = Time::from_ns(350);
 /// Counts at both addresses.
 pub const TEMPERATURE_CALIBRATION: [u32; 2] = [1037, 1379];
 
@@ -154,9 +162,11 @@ pub struct Devices {
 pub struct Options {
     /// The circuit board.
     pub wiring: Wiring,
-    /// What a bit on the sensor buses takes beyond the times of TIMINGR: edges, filter, synchronisation (RM0440 41.4.9).
-    /// 250 ns is the least at a kernel clock of 16 MHz, 500 ns the manual's examples.
-    pub i2c_synchronisation: Time,
+    /// What edges and the analogue filter add to a bit on the sensor buses (RM0440 41.4.9): the filter delays both phases by
+    /// 50 to 260 ns (datasheet, table 84), and the edges of a bus of 1 kOhm and 100 pF take 105 ns.
+    pub i2c_delay: Time,
+    /// What the amplifier of a phase current takes to settle after its low side is switched on (DRV8316: 1 us).
+    pub amplifier_settling: Time,
     /// The watchdog's oscillator: 32 kHz, 29.5 to 34 over temperature and supply (datasheet table 46).
     pub lsi: Frequency,
     /// Of the random numbers, and of what the memories hold at power-on.
@@ -167,7 +177,8 @@ impl Default for Options {
     fn default() -> Self {
         Self {
             wiring: Wiring::NUCLEO_G474,
-            i2c_synchronisation: Time::from_ns(500),
+            i2c_delay: Time::from_ns(625),
+            amplifier_settling: Time::from_us(1),
             lsi: Frequency(32_000),
             seed: 1,
         }
@@ -201,6 +212,7 @@ pub struct Soc {
     pwr: Pwr,
     syscfg: Syscfg,
     dbgmcu: Dbgmcu,
+    mpu: Mpu,
     exti: Exti,
     gpio: [Gpio; 7],
     dma: Dma,
@@ -236,6 +248,10 @@ pub struct Soc {
     is_break_wire_open: bool,
     /// The trigger of the motor's timer reaches the converter.
     has_motor_trigger: bool,
+    /// Cuts of SRAM that were not accessed since the reset: bits of SRAM1, SRAM2, CCM.
+    untouched: u8,
+    /// Last edge of the rotor sensor's select.
+    encoder_edge: Time,
     /// Alternate functions of the six bridge pins, the break, the serial line, CAN, both SPI devices, and the sensor buses.
     functions: Functions,
 }
@@ -329,6 +345,7 @@ impl Soc {
             pwr: Pwr::new(),
             syscfg: Syscfg::default(),
             dbgmcu: Dbgmcu::default(),
+            mpu: Mpu::default(),
             exti: Exti::new(),
             gpio: std::array::from_fn(Gpio::new),
             dma: Dma::new(),
@@ -356,6 +373,8 @@ impl Soc {
             gate_fault: false,
             is_break_wire_open: false,
             has_motor_trigger: true,
+            untouched: 0,
+            encoder_edge: Time::ZERO,
             functions,
             options,
         };
@@ -379,6 +398,7 @@ impl Soc {
             pwr: self.pwr.clone(),
             syscfg: self.syscfg.clone(),
             dbgmcu: self.dbgmcu.clone(),
+            mpu: self.mpu.clone(),
             exti: self.exti.clone(),
             gpio: self.gpio.clone(),
             dma: self.dma.clone(),
@@ -406,6 +426,8 @@ impl Soc {
             gate_fault: self.gate_fault,
             is_break_wire_open: self.is_break_wire_open,
             has_motor_trigger: self.has_motor_trigger,
+            untouched: self.untouched,
+            encoder_edge: self.encoder_edge,
             functions: self.functions.clone(),
         }
     }
@@ -421,11 +443,13 @@ impl Soc {
     /// A reset of everything but the memories.
     pub(crate) fn reset(&mut self, cause: ResetCause) {
         self.reset = None;
+        self.untouched = ALL_CUTS;
         self.rcc.reset(self.now, cause);
         self.system.reset();
         self.pwr.reset();
         self.syscfg = Syscfg::default();
         self.dbgmcu = Dbgmcu::default();
+        self.mpu = Mpu::default();
         self.exti = Exti::new();
         for (port, gpio) in self.gpio.iter_mut().enumerate() {
             gpio.reset(port);
@@ -566,6 +590,11 @@ impl Soc {
         self.tim1.set_supply_break(is_low, self.now);
     }
 
+    /// The option bytes (OPTR).
+    pub fn option_bytes(&self) -> u32 {
+        self.flash.options()
+    }
+
     /// Programs the option bytes (OPTR) as a debugger does; the chip loads them at its next start.
     pub fn set_option_bytes(&mut self, options: u32) {
         self.flash.set_options(options);
@@ -595,6 +624,11 @@ impl Soc {
         }
     }
 
+    /// A debugger halts the core, or lets it run again.
+    pub(crate) fn set_halted(&mut self, is_halted: bool) {
+        self.tim1.set_stopped(is_halted && self.dbgmcu.stops_motor_timer(), self.now);
+    }
+
     /// Takes the supply away in the middle of an operation of the flash memory: [`crate::chip::Halt::PowerLost`].
     pub fn cut_power(&mut self, cut: PowerCut) {
         self.flash.cut_power(cut);
@@ -616,6 +650,16 @@ impl Soc {
         let number = self.buses.iter().position(|connected| *connected == Some(bus));
         if let Some(number) = number {
             self.i2c[number].leave_byte(byte);
+            self.refresh(Block::I2c(number));
+        }
+        number.is_some()
+    }
+
+    /// Detects a bus error during a transfer on a sensor bus, though there is none; false where no peripheral is at it.
+    pub fn raise_bus_error(&mut self, bus: usize) -> bool {
+        let number = self.buses.iter().position(|connected| *connected == Some(bus));
+        if let Some(number) = number {
+            self.i2c[number].raise_bus_error();
             self.refresh(Block::I2c(number));
         }
         number.is_some()
@@ -696,7 +740,7 @@ impl Soc {
             } else if let Some(number) = (0..3).find(|number| self.i2c[*number].next_event() <= due)
             {
                 let bus = bus(&mut self.devices, &mut self.empty, self.buses[number]);
-                self.i2c[number].advance(due, self.options.i2c_synchronisation, bus);
+                self.i2c[number].advance(due, self.options.i2c_delay, bus);
                 self.refresh(Block::I2c(number));
             } else if self.usart.next_event(&*self.devices.serial) <= due {
                 let usart_base = base_of(&self.entries, Block::Usart);
@@ -729,12 +773,47 @@ impl Soc {
         match self.tim1.advance(self.now) {
             Some(Moment::Trigger) if self.has_motor_trigger && self.tim1.triggers_converter() => {
                 let adc_base = base_of(&self.entries, Block::Adc12);
-                self.adc.trigger(context!(self, adc_base));
+                if self.adc.trigger(Trigger::Tim1Trgo2, context!(self, adc_base)) {
+                    self.check_sampling(adc_base);
+                }
             }
             Some(Moment::Trigger) | None => {}
-            Some(Moment::Top | Moment::Bottom) => self.devices.drivetrain.half_period(half, duties),
+            Some(moment @ (Moment::Top | Moment::Bottom)) => {
+                self.devices.drivetrain.half_period(half, duties);
+                if moment == Moment::Bottom && self.tim1.triggers_on_update() {
+                    let adc_base = base_of(&self.entries, Block::Adc345);
+                    for adc in &mut self.slow_adcs {
+                        adc.trigger(Trigger::Tim1Trgo, context!(self, adc_base));
+                    }
+                }
+            }
         }
+        self.disturb_converters();
         self.refresh(Block::Tim1);
+    }
+
+    /// Conversions of ADC1 overlap those of other converters.
+    fn disturb_converters(&mut self) {
+        if self.adc.is_converting() && self.slow_adcs.iter().any(Adc::is_converting) {
+            self.adc.disturb();
+            let address = base_of(&self.entries, Block::Adc12);
+            let detail = "currents are converted while another converter converts";
+            self.violations.report(Kind::Misconfigured, address, detail);
+        }
+    }
+
+    /// A current is valid where its low side is on, and has been for as long as its amplifier takes to settle.
+    fn check_sampling(&mut self, adc_base: u32) {
+        let Some(windows) = self.tim1.low_side_windows() else { return };
+        let context = context!(self, adc_base);
+        for (channel, begins, ends) in self.adc.sampling_times(context) {
+            let Some(phase) = self.adc.phase(channel) else { continue };
+            let [opens, closes] = windows[phase];
+            let settled = opens + self.options.amplifier_settling;
+            if self.now + begins < settled || self.now + ends > closes {
+                context.report(Kind::Misconfigured, 0, "a current is sampled before it is valid");
+            }
+        }
     }
 
     pub(crate) fn plan(&mut self) {
@@ -955,7 +1034,7 @@ impl Soc {
             }
             Block::I2c(number) => {
                 let bus = bus(&mut self.devices, &mut self.empty, self.buses[number]);
-                self.i2c[number].read(offset, self.options.i2c_synchronisation, bus, context)
+                self.i2c[number].read(offset, self.options.i2c_delay, bus, context)
             }
             Block::Iwdg => self.iwdg.read(offset, context),
             Block::Pwr => self.pwr.read(offset, context),
@@ -977,6 +1056,9 @@ impl Soc {
     }
 
     fn store(&mut self, entry: Entry, offset: u32, value: u32, width: u32) {
+        if entry.block == Block::Spi(0) && offset == spi::DATA {
+            self.check_encoder_edge("the rotor sensor is clocked within 350 ns of its select");
+        }
         let functions = &self.functions;
         let has = |pins: &[(Pin, u8)]| {
             pins.iter().all(|(pin, function)| {
@@ -1035,13 +1117,7 @@ impl Soc {
             Block::I2c(number) => {
                 let pads =
                     [self.buses[number].is_some(), self.syscfg.fast_mode_plus(number as u32 + 1)];
-                self.i2c[number].write(
-                    offset,
-                    value,
-                    pads,
-                    self.options.i2c_synchronisation,
-                    context,
-                );
+                self.i2c[number].write(offset, value, pads, self.options.i2c_delay, context);
             }
             Block::Iwdg => {
                 if self.iwdg.write(offset, value, context) {
@@ -1057,7 +1133,7 @@ impl Soc {
             Block::Spi(number) => {
                 let [.., select] = self.options.wiring.spi(number);
                 let is_selected = self.gpio[select.port].driven(select.number) == Some(false);
-                let pins = [has(&functions.spi[number]), is_selected];
+                let pins = [has(&self.functions.spi[number]), is_selected];
                 let clocks = *self.rcc.clocks();
                 let bus = if number == 0 { clocks.apb2 } else { clocks.apb1 };
                 let cycles = |count| bus.cycles(count);
@@ -1184,6 +1260,14 @@ impl Soc {
                 if is_high {
                     self.spi[number].deselect();
                 }
+                if number == 0 {
+                    if !is_high {
+                        self.check_encoder_edge(
+                            "the rotor sensor's select is high for less than 350 ns",
+                        );
+                    }
+                    self.encoder_edge = self.now;
+                }
                 self.devices.spi[number].select(self.now, !is_high);
             }
         }
@@ -1203,6 +1287,14 @@ impl Soc {
         }
         self.refresh(Block::Exti);
         self.update_connections();
+    }
+
+    /// The AS5047P needs 350 ns from each edge of its select to what follows (datasheet, table 14: tL, tCSn).
+    fn check_encoder_edge(&mut self, detail: &'static str) {
+        if self.now.since(self.encoder_edge) < SELECT {
+            let address = base_of(&self.entries, Block::Spi(0));
+            self.violations.report(Kind::Misconfigured, address, detail);
+        }
     }
 
     fn port_levels(&self, port: usize) -> u16 {
@@ -1247,7 +1339,8 @@ impl Soc {
                 Ok(if address == CALIBRATION_30_C { cold } else { hot })
             }
             DBGMCU..=0xE004_23FF => Ok(self.dbgmcu.read(address - DBGMCU, context!(self, DBGMCU))),
-            PRIVATE..=0xE00F_FFFF => match self.system.read(address) {
+            BELOW_SRAM..SRAM => self.access_gap(address).map(|()| 0),
+            PRIVATE..=0xE00F_FFFF => match self.mpu.read(address).or(self.system.read(address)) {
                 Some(value) => Ok(lanes(value, address, bytes)),
                 None => {
                     self.violations.report(Kind::UnmodelledRegister, address, "not emulated");
@@ -1274,8 +1367,9 @@ impl Soc {
                 self.dbgmcu.write(address - DBGMCU, value, context!(self, DBGMCU));
                 Ok(())
             }
+            BELOW_SRAM..SRAM => self.access_gap(address),
             PRIVATE..=0xE00F_FFFF => {
-                if !self.system.write(address, width, value) {
+                if !self.mpu.write(address, value) && !self.system.write(address, width, value) {
                     self.violations.report(Kind::UnmodelledRegister, address, "not emulated");
                 }
                 Ok(())
@@ -1299,6 +1393,33 @@ impl Soc {
         }
     }
 
+    /// Nothing is there, and whether an access faults is not stated: here a store is lost, and a load gives zero.
+    fn access_gap(&mut self, address: u32) -> Result<(), BusError> {
+        if self.mpu.forbids(address) {
+            return Err(BusError);
+        }
+        self.violations.report(
+            Kind::UnmodelledRegister,
+            BELOW_SRAM,
+            "reserved addresses below SRAM",
+        );
+        Ok(())
+    }
+
+    /// The first access to a cut of SRAM after a reset: a write is lost (ES0430 2.2.7). Whether this is one.
+    #[cold]
+    fn touch(&mut self, address: u32) -> bool {
+        let cut = match address {
+            SRAM..SRAM_2 => 1,
+            SRAM_2..CCM_ALIAS => 2,
+            CCM_ALIAS..=0x2001_FFFF | CCM..=0x1000_7FFF => 4,
+            _ => 0,
+        };
+        let is_first = self.untouched & cut != 0;
+        self.untouched &= !cut;
+        is_first
+    }
+
     /// A word with two wrong bits was read.
     #[cold]
     fn fail_flash(&mut self) {
@@ -1318,6 +1439,9 @@ impl Bus for Soc {
     #[inline]
     fn read(&mut self, address: u32, width: Width) -> Result<u32, BusError> {
         let length = width.bytes() as usize;
+        if self.untouched != 0 {
+            self.touch(address);
+        }
         let offset = address.wrapping_sub(SRAM) as usize;
         if let Some(bytes) = self.sram.get(offset..offset.wrapping_add(length)) {
             return Ok(little_endian(bytes));
@@ -1341,6 +1465,9 @@ impl Bus for Soc {
     #[inline]
     fn write(&mut self, address: u32, width: Width, value: u32) -> Result<(), BusError> {
         let length = width.bytes() as usize;
+        if self.untouched != 0 && self.touch(address) {
+            return Ok(());
+        }
         for (start, memory) in [(SRAM, &mut self.sram), (CCM, &mut self.ccm)] {
             let offset = address.wrapping_sub(start) as usize;
             if let Some(place) = memory.get_mut(offset..offset.wrapping_add(length)) {

@@ -107,7 +107,7 @@ fn what_a_board_cannot_load_is_refused_with_a_remedy() {
     ]);
     let refused =
         dir.failure(&format!("upload model.toml --network large.safetensors --port {line}"));
-    assert!(refused.contains("`cargo magpie export` and `cargo flash`"), "{refused}");
+    assert!(refused.contains("`cargo magpie export` and `cargo flash-image`"), "{refused}");
     assert_eq!(shown(&dir, &line)["calibration"]["slot"], Value::Null);
     let nobody = dir.failure("upload model.toml");
     assert!(nobody.contains("--port"), "{nobody}");

@@ -15,6 +15,7 @@ use sim::faults::injection::InjectedFault;
 use sim::faults::operating_state::{OperatingState, SET_N};
 use sim::faults::run::FaultCase;
 
+use crate::boards::violations;
 use crate::motion::{Cell, cell, homed, move_to};
 
 /// Newtons to the millimetre of what is held.
@@ -166,6 +167,7 @@ fn crashes(kind: CrashKind, cause: ResetCause, crash: fn(&mut Cell)) -> Result<(
     assert_eq!(event.detail >> 24, kind.number(), "{event:?}");
     assert!(cell.state() < TASK_CODE && cell.state() != 0, "{}", cell.state());
     assert_eq!(cell.board.chip.resets.len(), 1, "{:?}", cell.board.chip.resets);
+    assert_eq!(violations(&cell.board), [""; 0]);
     Ok(())
 }
 

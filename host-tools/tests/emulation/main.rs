@@ -20,6 +20,7 @@ mod replay;
 #[path = "../scenarios/rig.rs"]
 mod rig;
 mod scenarios;
+mod silicon;
 mod stops;
 mod storage;
 mod supervision;
@@ -67,6 +68,7 @@ fn main() -> ExitCode {
     trials.extend(storage::trials());
     trials.extend(supervision::trials());
     trials.extend(faults::trials());
+    trials.extend(silicon::trials());
     trials.extend(scenarios::trials());
     trials.extend(motion::trials(effort));
     trials.extend(covariates::trials());

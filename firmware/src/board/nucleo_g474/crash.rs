@@ -4,7 +4,7 @@
 //! | --- | --- |
 //! | panic | [`panicked`], called by the binary's panic handler |
 //! | any fault exception of the core: none has its own handler | `HardFault` |
-//! | stack overflow | `HardFault`: the stack is below the statics, at the start of RAM (`memory.x`), and there is no memory below it |
+//! | stack overflow | `HardFault`: the stack is below the statics, at the start of RAM (`memory.x`), and [`guard_stack`] forbids what is below |
 //! | double bit error in flash outside [`super::flash`], crystal failure | `NonMaskableInt` |
 //! | corrupt memory of the grasp, or of what boot takes once | [`reset`], called by the grip task and by boot |
 //! | a task hangs | [`IndependentWatchdog`] writes the record and resets |
@@ -70,6 +70,25 @@ unsafe extern "C" {
     static _stack_start: u32;
     /// Lowest address.
     static _stack_end: u32;
+}
+
+/// Forbids the 32 KiB below RAM, and with it below the stack: reserved addresses, where a store may be lost without a fault.
+pub fn guard_stack() {
+    const START: u32 = 0x1FFF_8000;
+    const VALID: u32 = 1 << 4;
+    // No access, no execution, 2^(14 + 1) bytes, enabled.
+    const NO_ACCESS: u32 = 1 << 28 | 14 << 1 | 1;
+    // With the default map for all other addresses.
+    const ENABLED: u32 = 1 << 2 | 1;
+    // SAFETY: nothing accesses these addresses.
+    unsafe {
+        let unit = &*cortex_m::peripheral::MPU::PTR;
+        unit.rbar.write(START | VALID);
+        unit.rasr.write(NO_ACCESS);
+        unit.ctrl.write(ENABLED);
+    }
+    cortex_m::asm::dsb();
+    cortex_m::asm::isb();
 }
 
 /// Number of this boot, and the crash that ended the previous run. Must be called once, directly after

@@ -182,13 +182,14 @@ impl CurrentLoopState {
     fn period(&mut self) {
         let angle = self.sensor.angle();
         let (phases, bus) = self.currents.read();
-        let Ok(()) = self.sensor.select();
         while let Some(ask) = self.requests.pop() {
             self.inner.apply(ask);
         }
         if self.stage.is_broken() {
             self.inner.trip_power_stage();
         }
+        // At least 350 ns after it was deselected, and before its frame.
+        let Ok(()) = self.sensor.select();
         let sensed = MotorSamples { phases, bus, angle };
         self.stage.drive(self.inner.tick(&sensed));
         self.sensor.start_frame();
@@ -198,8 +199,8 @@ impl CurrentLoopState {
             if let Some(found) = self.inner.take_identification() {
                 let _ = self.results.push(found);
             }
-            // Full when the motion loop has missed its ticks: then the current loop trips by itself.
-            let _ = self.state.push(self.inner.take_report());
+            // Full when the motion loop has missed its ticks: then the events wait, and the current loop trips by itself.
+            self.inner.push_report(|report| self.state.push(report));
             interrupt::CORDIC.pend();
         }
     }

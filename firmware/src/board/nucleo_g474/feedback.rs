@@ -1,7 +1,6 @@
 //! Feedback of the motor: phase currents and bus voltage from ADC1, the rotor angle from an AS5047P on SPI1.
 //!
-//! Four injected conversions follow TIM1's trigger, 0.48 us each, the currents first. All low sides are on from at least
-//! 1.2 us before the trigger to 1.2 us after it: the sample of the third current ends 1.1 us after it.
+//! Four injected conversions follow TIM1's trigger, the currents first, while all low sides are on ([`SAMPLED_US`]).
 //!
 //! One SPI frame at 10 MHz is started in each PWM period and read in the next: the interrupt does not wait for it.
 
@@ -11,12 +10,29 @@ use core::mem::forget;
 use embassy_stm32::adc::{Adc, AdcChannel, AdcConfig, Exten, InjectedAdc, SampleTime};
 use embassy_stm32::gpio::{Level, Output, Speed};
 use embassy_stm32::spi::{self, MODE_1, Spi};
-use embassy_stm32::time::Hertz;
 use embassy_stm32::triggers::TIM1_TRGO2;
 use embassy_stm32::{Peri, pac, peripherals};
 use embedded_hal::spi::{ErrorKind, ErrorType, SpiBus};
 
+use crate::board::selected::peripherals::bus_frequency;
+use crate::board::selected::pwm::TRIGGER_LEAD_US;
+use crate::config::constants;
 use crate::motor::as5047::{As5047, PipelinedSpi};
+
+/// Cycles of a conversion of 12 bits with a sampling time of 6.5, and the converter's clock in MHz.
+const CONVERSION: f64 = 19.0;
+const CLOCK_MHZ: f64 = 40.0;
+/// From the trigger to the end of the sample of the third current.
+const SAMPLED_US: f64 = (2.0 * CONVERSION + 6.5) / CLOCK_MHZ;
+/// Half of the shortest time without a high side, before and after the middle of a period.
+const WINDOW_US: f64 = 0.5 * (1.0 - constants::MODULATION.value) * 1e3 / constants::PWM_RATE.value;
+// Its low side is on after the dead time, and its amplifier valid after having settled: before the first sample. The last sample
+// ends before a high side switches.
+const _: () = assert!(
+    TRIGGER_LEAD_US + 1e-3 * constants::DEAD_TIME.value + constants::AMPLIFIER_SETTLING.value
+        < WINDOW_US
+);
+const _: () = assert!(SAMPLED_US - TRIGGER_LEAD_US < WINDOW_US);
 
 /// Analogue pins of phases U, V, W and of the bus voltage.
 pub type AnalogPins = (
@@ -54,9 +70,10 @@ impl PhaseCurrents {
     }
 }
 
-/// Age of the angle at the instant of current sampling, in PWM periods: one frame sends the request, the next returns the
-/// angle, which is read one period later. Assumed, to be measured on a board.
-pub const ANGLE_AGE_PERIODS: f32 = 2.0;
+/// Age of the angle at the instant of current sampling, in PWM periods: the sensor samples it at the rising edge of its select, soon
+/// after the currents (AS5047P datasheet, SPI timing), and the frame of that period returns it, which the next one reads. To
+/// be confirmed on a board.
+pub const ANGLE_AGE_PERIODS: f32 = 1.0;
 
 /// SCK, MOSI, MISO, CS.
 pub type SpiPins = (
@@ -74,7 +91,7 @@ pub fn rotor_sensor(port: Peri<'static, peripherals::SPI1>, pins: SpiPins) -> Ro
     let (clock, out, into, select) = pins;
     let mut config = spi::Config::default();
     config.mode = MODE_1;
-    config.frequency = Hertz(10_000_000);
+    config.frequency = bus_frequency(10_000_000);
     // The driver library only configures the port: its waits have no limit.
     forget(Spi::new_blocking(port, clock, out, into, config));
     PORT.cr1().modify(|w| w.set_spe(false));

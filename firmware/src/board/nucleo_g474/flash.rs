@@ -41,6 +41,8 @@ pub enum FlashError {
     Driver(flash::Error),
     /// Two bits of a word are wrong.
     Ecc,
+    /// The option bytes select a single bank (DBANK = 0): another page than the one meant would be erased, one of the image.
+    SingleBank,
 }
 
 /// The driver, and where parameters and calibrations are.
@@ -68,7 +70,7 @@ impl NorFlashError for FlashError {
     fn kind(&self) -> NorFlashErrorKind {
         match self {
             Self::Driver(error) => error.kind(),
-            Self::Ecc => NorFlashErrorKind::Other,
+            Self::Ecc | Self::SingleBank => NorFlashErrorKind::Other,
         }
     }
 }
@@ -101,15 +103,25 @@ impl ReadNorFlash for SettingsFlash {
     }
 }
 
+/// Pages have the size and number of this driver only with two banks (RM0440 3.3.1).
+fn check_banks() -> Result<(), FlashError> {
+    let has_two = pac::FLASH.optr().read().dbank();
+    if has_two { Ok(()) } else { Err(FlashError::SingleBank) }
+}
+
+/// embassy-stm32 0.6.0 reports success always (`firmware/UPSTREAM.md`): what is written must be read back, as
+/// [`crate::system::nv_storage`] does.
 impl NorFlash for SettingsFlash {
     const WRITE_SIZE: usize = WRITE_SIZE;
     const ERASE_SIZE: usize = MAX_ERASE_SIZE;
 
     async fn erase(&mut self, from: u32, to: u32) -> Result<(), FlashError> {
+        check_banks()?;
         self.0.erase(from, to).await.map_err(FlashError::Driver)
     }
 
     async fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), FlashError> {
+        check_banks()?;
         self.0.write(offset, bytes).await.map_err(FlashError::Driver)
     }
 }

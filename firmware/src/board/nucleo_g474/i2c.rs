@@ -34,7 +34,7 @@ const MAX_READ_BYTES: usize = 16;
 pub enum Error {
     /// Not acknowledged.
     NoAcknowledge,
-    /// A line is stuck, or a misplaced start or stop.
+    /// A line is stuck, or a byte was lost.
     Bus,
     /// Arbitration lost.
     Arbitration,
@@ -109,6 +109,11 @@ impl Controller {
     /// One task waits for both buses, whose transfers begin together: while `other` transfers, that bus wakes it for both.
     fn on_interrupt(&self, other: &Self) {
         let status = self.registers.isr().read();
+        // A controller may detect a bus error where none is: it is cleared, and the transfer goes on (ES0430 2.15.2). After a real one
+        // the transfer loses the arbitration, is not acknowledged, or times out.
+        if status.berr() {
+            self.registers.icr().write(|w| w.set_berrcf(true));
+        }
         if has_ended(status) {
             self.registers.cr1().modify(|w| {
                 w.set_tcie(false);
@@ -127,7 +132,7 @@ impl Controller {
 
 /// A missing acknowledge also ends with a stop.
 fn has_ended(status: Isr) -> bool {
-    status.stopf() || status.berr() || status.arlo() || status.ovr()
+    status.stopf() || status.arlo() || status.ovr()
 }
 
 static FIRST: Controller = Controller::new(pac::I2C1, Channel::First, 16);
@@ -316,7 +321,7 @@ impl Transfer {
         let is_complete = self.controller.dma().ndtr().read().ndt() == 0 && !status.rxne();
         let result = if status.arlo() {
             Err(Error::Arbitration)
-        } else if status.berr() || status.ovr() {
+        } else if status.ovr() {
             Err(Error::Bus)
         } else if status.nackf() {
             Err(Error::NoAcknowledge)

@@ -4,11 +4,11 @@ use embassy_stm32::gpio::{Level, Output, Speed};
 use embassy_stm32::mode::Async;
 use embassy_stm32::spi::mode::Master;
 use embassy_stm32::spi::{Config, MODE_3, Spi};
-use embassy_stm32::time::Hertz;
 use embassy_stm32::{Peri, bind_interrupts, dma, peripherals};
 use embassy_time::Delay;
 use embedded_hal_bus::spi::ExclusiveDevice;
 
+use crate::board::selected::peripherals::bus_frequency;
 use crate::sensors::imu::Lsm6ds3;
 
 /// The sensor on its bus.
@@ -41,7 +41,7 @@ pub fn inertial_sensor(parts: Parts) -> InertialSensor {
     let Parts { port, clock, out, into, select, channels: (transmit, receive) } = parts;
     let mut config = Config::default();
     config.mode = MODE_3;
-    config.frequency = Hertz(5_000_000);
+    config.frequency = bus_frequency(5_000_000);
     let bus = Spi::new(port, clock, out, into, transmit, receive, Interrupts, config);
     let select = Output::new(select, Level::High, Speed::VeryHigh);
     let Ok(device) = ExclusiveDevice::new(bus, select, Delay);

@@ -1,4 +1,4 @@
-//! Memory copy routines of the ARM run-time ABI (IHI0043, "Memory copying"), which the compiler calls to move structures.
+//! First access to the memories, and memory copy routines of the ARM run-time ABI (IHI0043, "Memory copying"), which the compiler calls to move structures.
 //!
 //! The compiler's own are weak symbols, word loops at 1.3 instructions per byte, and the sensing tasks move some 6 KB in a
 //! millisecond. These take 0.4 instructions per byte and a tenth of the flash.
@@ -80,5 +80,22 @@ unsafe extern "C" fn __aeabi_memcpy(_to: *mut u8, _from: *const u8, _length: usi
         "strbmi r3, [r0]",
         "bx lr",
         words = sym __aeabi_memcpy4,
+    )
+}
+
+/// Reads a word of each cut of SRAM before anything is written there: the first write to a cut after a reset may be lost (ES0430
+/// 2.2.7). Core-coupled memory is read on the system bus. Called by the start of cortex-m-rt, before it uses the stack.
+#[unsafe(naked)]
+#[unsafe(no_mangle)]
+unsafe extern "C" fn __pre_init() {
+    naked_asm!(
+        "ldr r0, =0x20000000",
+        "ldr r0, [r0]",
+        "ldr r0, =0x20014000",
+        "ldr r0, [r0]",
+        "ldr r0, =0x20018000",
+        "ldr r0, [r0]",
+        "bx lr",
+        ".ltorg",
     )
 }

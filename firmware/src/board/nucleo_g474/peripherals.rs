@@ -5,9 +5,12 @@ use embassy_stm32::can::{self, CanConfigurator};
 use embassy_stm32::gpio::{Input, Pull};
 use embassy_stm32::interrupt::Priority;
 use embassy_stm32::mode::Async;
+use embassy_stm32::pac::flash::vals::Latency;
+use embassy_stm32::pac::timer::vals::Urs;
 use embassy_stm32::time::Hertz;
 use embassy_stm32::usart::{self, RingBufferedUartRx, Uart, UartTx};
-use embassy_stm32::{bind_interrupts, dma, pac, peripherals, rcc};
+use embassy_stm32::{Peri, bind_interrupts, dma, pac, peripherals, rcc};
+use embassy_time::{Duration, Instant};
 use static_cell::ConstStaticCell;
 
 use crate::board::i2c_timing::{EdgeTimes, I2cMode, i2c_timing};
@@ -23,9 +26,10 @@ use crate::board::selected::{NucleoG474, crash, drive, pwm, sync};
 use crate::board::{Bsp, Peripherals};
 use crate::model::kernel;
 use crate::protocol::serial::BAUD_RATE;
+use crate::system::crash::CrashKind;
 
-/// Clock of the I2C peripherals: HSI16.
-const I2C_HZ: u32 = 16_000_000;
+/// Clock of the I2C peripherals: that of the system. HSI16 would be below the 17 MHz of Fast-mode Plus.
+const I2C_HZ: u32 = 160_000_000;
 /// Edges of the sensor buses in nanoseconds, assumed: 1 kOhm, 100 pF.
 const EDGES: EdgeTimes = EdgeTimes { rise: 85, fall: 20 };
 /// TIMINGR of the sensor buses.
@@ -62,17 +66,19 @@ impl Bsp for NucleoG474 {
 
     fn init() -> Peripherals<Self> {
         sync::lower_all_interrupts();
+        crash::guard_stack();
         let mut config = embassy_stm32::Config::default();
         // Below the motor interrupt.
         config.bdma_interrupt_priority = Priority::P1;
         let mut p = embassy_stm32::init(config);
-        // The driver library resets PWR and sets the wrong bit for boost mode: its clocks follow afterwards.
-        boost();
-        rcc::reinit(clocks(), &mut p.RCC);
-        kernel::copy_to_ccm();
+        let has_crystal = start_clocks(&mut p.RCC);
+        if !kernel::copy_to_ccm() {
+            crash::reset(CrashKind::Corruption);
+        }
         // A failing crystal breaks the motor outputs and raises the NMI; the driver library has no option for it.
-        pac::RCC.cr().modify(|w| w.set_csson(true));
+        pac::RCC.cr().modify(|w| w.set_csson(has_crystal));
         break_on_chip_faults();
+        stop_with_debugger();
         // 20 mA drivers for 1 MHz.
         pac::SYSCFG.cfgr1().modify(|w| {
             w.set_i2c1_fmp(true);
@@ -111,7 +117,7 @@ impl Bsp for NucleoG474 {
             button: Input::new(p.PC13, Pull::Down),
             flash,
             flash_offsets,
-            configuration_defect: option_byte_defect(),
+            configuration_defect: if has_crystal { option_byte_defect() } else { Some(NO_CRYSTAL) },
             thermometer: BoardThermometer::new(thermometer::Parts {
                 thermistors: p.ADC3,
                 motor: p.PB1,
@@ -135,11 +141,41 @@ impl Bsp for NucleoG474 {
     }
 }
 
-/// Enables voltage range 1 boost, required above 150 MHz (RM0440 6.1.5), while the core still runs at 16 MHz. The option
-/// of embassy-stm32 has no effect: stm32-metapac 21.0.0 has R1MODE at bit 0 of PWR_CR5, RM0440 and ST's header at bit 8.
-fn boost() {
+/// Starts the clocks; false where the crystal does not start within [`CRYSTAL_START`], and the chip runs from HSI16.
+///
+/// It works around three defects of the libraries (`firmware/UPSTREAM.md`): a wait for the crystal without a limit; R1MODE (range 1
+/// boost, required above 150 MHz, RM0440 6.1.5) at bit 0 of PWR_CR5 instead of 8; a step from 16 to 160 MHz without the
+/// microsecond at half speed (RM0440 6.1.5, as in ST's `HAL_RCC_ClockConfig`). Therefore embassy-stm32 switches to half speed, and
+/// the rest follows here. It computes with buses of 80 MHz from then on ([`bus_frequency`]).
+fn start_clocks(rcc: &mut Peri<'static, peripherals::RCC>) -> bool {
+    pac::RCC.cr().modify(|w| w.set_hseon(true));
+    let end = Instant::now() + CRYSTAL_START;
+    let has_crystal = loop {
+        match pac::RCC.cr().read().hserdy() {
+            false if Instant::now() < end => {}
+            is_ready => break is_ready,
+        }
+    };
+    pac::RCC.cr().modify(|w| w.set_hseon(has_crystal));
+    // After the initialisation of the library, which resets PWR.
     const R1MODE: u32 = 1 << 8;
     pac::PWR.cr5().modify(|w| w.0 &= !R1MODE);
+    rcc::reinit(half_speed(has_crystal), rcc);
+    pac::FLASH.acr().modify(|w| w.set_latency(Latency::WS4));
+    // 2 us at 80 MHz.
+    cortex_m::asm::delay(160);
+    pac::RCC.cfgr().modify(|w| w.set_hpre(rcc::AHBPrescaler::DIV1));
+    // The time base counts microseconds of 160 cycles; the update that loads the prescaler is no overflow.
+    pac::TIM5.psc().write_value(159);
+    pac::TIM5.cr1().modify(|w| w.set_urs(Urs::COUNTER_ONLY));
+    pac::TIM5.egr().write(|w| w.set_ug(true));
+    pac::TIM5.cr1().modify(|w| w.set_urs(Urs::ANY_EVENT));
+    has_crystal
+}
+
+/// What a driver that divides the clock of a bus is to be asked for: see [`start_clocks`].
+pub(super) const fn bus_frequency(hertz: u32) -> Hertz {
+    Hertz(hertz / 2)
 }
 
 /// Connects lock-up of the core, parity error of SRAM, supply below 2.8 V and a flash word with two wrong bits to the break of
@@ -159,6 +195,19 @@ fn break_on_chip_faults() {
     });
 }
 
+/// A halt by a debugger stops the motor timer, which then drives all six pins low (RM0440 28.3.32): else its last duties would stay on
+/// the bridges. With the feature `debug` the watchdog waits as well.
+fn stop_with_debugger() {
+    pac::DBGMCU.apb2fzr().modify(|w| w.set_tim1(true));
+    #[cfg(feature = "debug")]
+    pac::DBGMCU.apb1fzr1().modify(|w| w.set_iwdg(true));
+}
+
+/// Longest start of a crystal.
+const CRYSTAL_START: Duration = Duration::from_millis(100);
+/// Code of a crystal that does not start, after those of [`option_byte_defect`].
+const NO_CRYSTAL: u32 = 3;
+
 /// The code where the option bytes are unsuitable: 1, the flash has a single bank, so that the image would stop while
 /// a page is written; 2, each start goes through the boot loader, which may choose the second bank, where settings are stored.
 /// The brown-out level may be as shipped, 1.7 V, as the outputs are off below 2.8 V; nSWBOOT0 and nBOOT0 as well, as this
@@ -172,27 +221,34 @@ fn option_byte_defect() -> Option<u32> {
     }
 }
 
-/// Crystal 24 MHz / 6 * 80 = 320 MHz: 160 MHz for the core, 80 MHz for CAN.
-fn clocks() -> rcc::Config {
+/// Crystal 24 MHz / 6 * 80 or HSI16 / 4 * 80 = 320 MHz: 160 MHz for the system, 80 MHz for CAN, and at first for the core.
+fn half_speed(has_crystal: bool) -> rcc::Config {
     let mut config = rcc::Config::default();
     config.hsi = true;
     config.hsi48 = Some(rcc::Hsi48Config::default());
-    config.hse = Some(rcc::Hse { freq: Hertz(24_000_000), mode: rcc::HseMode::Oscillator });
+    let crystal = rcc::Hse { freq: Hertz(24_000_000), mode: rcc::HseMode::Oscillator };
+    config.hse = has_crystal.then_some(crystal);
+    let (source, prediv) = if has_crystal {
+        (rcc::PllSource::HSE, rcc::PllPreDiv::DIV6)
+    } else {
+        (rcc::PllSource::HSI, rcc::PllPreDiv::DIV4)
+    };
     config.pll = Some(rcc::Pll {
-        source: rcc::PllSource::HSE,
-        prediv: rcc::PllPreDiv::DIV6,
+        source,
+        prediv,
         mul: rcc::PllMul::MUL80,
         divp: None,
         divq: Some(rcc::PllQDiv::DIV4),
         divr: Some(rcc::PllRDiv::DIV2),
     });
     config.sys = rcc::Sysclk::PLL1_R;
-    config.boost = true;
+    config.ahb_pre = rcc::AHBPrescaler::DIV2;
+    config.mux.usart2sel = rcc::mux::Uartsel::SYS;
     config.mux.adc12sel = rcc::mux::Adcsel::SYS;
     config.mux.adc345sel = rcc::mux::Adcsel::SYS;
     config.mux.fdcansel = rcc::mux::Fdcansel::PLL1_Q;
-    config.mux.i2c1sel = rcc::mux::I2csel::HSI;
-    config.mux.i2c3sel = rcc::mux::I2csel::HSI;
+    config.mux.i2c1sel = rcc::mux::I2csel::SYS;
+    config.mux.i2c3sel = rcc::mux::I2csel::SYS;
     config.mux.clk48sel = rcc::mux::Clk48sel::HSI48;
     config
 }

@@ -9,7 +9,7 @@
 use core::mem::forget;
 
 use embassy_stm32::gpio::{AfType, Flex, OutputType, Pull};
-use embassy_stm32::pac::timer::vals::{Bkp, Cms, FilterValue, Lock, Mms2, Ocm, Ossi, Ossr};
+use embassy_stm32::pac::timer::vals::{Bkp, Cms, FilterValue, Lock, Mms, Mms2, Ocm, Ossi, Ossr};
 use embassy_stm32::timer::complementary_pwm::ComplementaryPwmPin;
 use embassy_stm32::timer::simple_pwm::PwmPin;
 use embassy_stm32::{Peri, pac, peripherals, rcc};
@@ -26,6 +26,8 @@ const DEAD_TIME_COUNTS: u8 = (constants::DEAD_TIME.value * 1e-9 * CLOCK_HZ) as u
 const _: () = assert!(DEAD_TIME_COUNTS < 128);
 /// Counts from the trigger to the middle of the period.
 const TRIGGER_LEAD: u16 = 8;
+/// The same in microseconds.
+pub const TRIGGER_LEAD_US: f64 = 1e6 * TRIGGER_LEAD as f64 / CLOCK_HZ;
 const TIMER: pac::timer::TimAdv = pac::TIM1;
 /// Alternate function of the break input.
 const BREAK_AF: u8 = 6;
@@ -44,8 +46,8 @@ pub struct Pins {
         Peri<'static, peripherals::PB14>,
         Peri<'static, peripherals::PB15>,
     ),
-    /// Break input: low on a fault of gate drivers or comparators, and with an open wire. The stage must pull it high against
-    /// the chip's pull-down of 25 to 55 kilohm.
+    /// Break input: low on a fault of gate drivers or comparators, and with an open wire. The stage must pull it high with at
+    /// most 4.7 kilohm, against the chip's pull-down of 25 to 55 kilohm: 47 kilohm never reach the threshold.
     pub stop: Peri<'static, peripherals::PB12>,
 }
 
@@ -85,6 +87,17 @@ impl Stage {
 
     fn switch(&mut self, on: bool) {
         if self.is_on != on {
+            if on {
+                // A break by the supply, the flash or the core leaves SBIF, which "must be reset to re-start PWM operation" (RM0440
+                // 28.6.6; ST's __HAL_TIM_CLEAR_FLAG). Flags are cleared by zeros. One whose cause lasts stays, and so does
+                // MOE = 0: the next period reads it back.
+                TIMER.sr().write(|w| {
+                    w.0 = u32::MAX;
+                    w.set_bif(0, false);
+                    w.set_bif(1, false);
+                    w.set_sbif(false);
+                });
+            }
             TIMER.bdtr().modify(|w| w.set_moe(on));
             self.is_on = on;
         }
@@ -131,7 +144,11 @@ fn configure() {
         w.set_ocpe(1, true);
     });
     TIMER.ccr(3).write(|w| w.set_ccr(PERIOD_COUNTS - TRIGGER_LEAD));
-    TIMER.cr2().modify(|w| w.set_mms2(Mms2::COMPARE_OC4));
+    // The currents in the middle of a period, the temperatures at its beginning.
+    TIMER.cr2().modify(|w| {
+        w.set_mms2(Mms2::COMPARE_OC4);
+        w.set_mms(Mms::UPDATE);
+    });
     TIMER.ccer().modify(|w| {
         for channel in 0..3 {
             w.set_cce(channel, true);

@@ -1,17 +1,22 @@
-//! Temperatures: thermistors of motor and power stage at ADC3, the chip's own sensor at ADC5. Regular conversions by software,
-//! apart from the motor's converter.
+//! Temperatures: thermistors of motor and power stage at ADC3, the chip's own sensor at ADC5. Each PWM period converts them
+//! from its beginning on, triggered by TIM1: they end before ADC1 samples the currents, which simultaneous conversions would
+//! disturb (ES0430 2.7.11), and no pause reaches the millisecond after which a conversion is wrong (ES0430 2.7.9).
 
-use embassy_stm32::adc::{Adc, AdcConfig, SampleTime, Temperature};
+use embassy_stm32::adc::{Adc, AdcChannel, AdcConfig, Exten, InjectedAdc, SampleTime};
+use embassy_stm32::triggers::TIM1_TRGO;
 use embassy_stm32::{Peri, peripherals};
 
 use crate::board::Thermometer;
+use crate::config::constants::PWM_RATE;
 use crate::motor::limits::Temperatures;
 use crate::sensors::thermistor;
 use crate::tasks::temperatures::BoardTemperatures;
 
-/// Sampling: 640.5 cycles of 40 MHz are 16 us, for the 5 kOhm of a thermistor with its pull-up, and for the chip's sensor,
-/// which needs several microseconds.
-const SAMPLING: SampleTime = SampleTime::CYCLES640_5;
+/// Sampling for 6.2 us: enough for the 5 kOhm of a thermistor with its pull-up, and for the chip's sensor, which needs 5 us.
+const SAMPLING: SampleTime = SampleTime::CYCLES247_5;
+/// Conversions of ADC3 in microseconds: two of 260 cycles of 40 MHz, in the first half of a period.
+const CONVERSIONS_US: f64 = 2.0 * 260.0 / 40.0;
+const _: () = assert!(CONVERSIONS_US < 0.8 * 0.5 * 1e3 / PWM_RATE.value);
 /// Factory calibration of the chip's sensor at 30 and 130 degrees Celsius, with a reference of 3.0 V (datasheet, table 5).
 const CALIBRATION_30_C: *const u16 = 0x1FFF_75A8 as *const u16;
 const CALIBRATION_130_C: *const u16 = 0x1FFF_75CA as *const u16;
@@ -32,28 +37,29 @@ pub struct Parts {
 
 /// The temperature sensors.
 pub struct BoardThermometer {
-    thermistors: Adc<'static, peripherals::ADC3>,
-    motor: Peri<'static, peripherals::PB1>,
-    stage: Peri<'static, peripherals::PB0>,
-    chip: Adc<'static, peripherals::ADC5>,
-    chip_sensor: Temperature,
+    thermistors: InjectedAdc<'static, peripherals::ADC3, 2>,
+    chip: InjectedAdc<'static, peripherals::ADC5, 1>,
 }
 
 impl BoardThermometer {
-    /// Calibrates both converters.
+    /// Calibrates both converters and arms their triggers.
     pub fn new(parts: Parts) -> Self {
+        let edge = Exten::RISING_EDGE;
+        let inputs = [(parts.motor.degrade_adc(), SAMPLING), (parts.stage.degrade_adc(), SAMPLING)];
         let thermistors = Adc::new(parts.thermistors, AdcConfig::default());
         let chip = Adc::new(parts.chip, AdcConfig::default());
-        let chip_sensor = chip.enable_temperature();
-        Self { thermistors, motor: parts.motor, stage: parts.stage, chip, chip_sensor }
+        let sensor = [(chip.enable_temperature().degrade_adc(), SAMPLING)];
+        Self {
+            thermistors: thermistors.setup_injected_conversions(inputs, TIM1_TRGO, edge, false),
+            chip: chip.setup_injected_conversions(sensor, TIM1_TRGO, edge, false),
+        }
     }
 }
 
 impl Thermometer for BoardThermometer {
     fn measure(&mut self) -> BoardTemperatures {
-        let motor = self.thermistors.blocking_read(&mut self.motor, SAMPLING);
-        let stage = self.thermistors.blocking_read(&mut self.stage, SAMPLING);
-        let chip = self.chip.blocking_read(&mut self.chip_sensor, SAMPLING);
+        let [motor, stage] = self.thermistors.read_injected_samples();
+        let [chip] = self.chip.read_injected_samples();
         BoardTemperatures {
             mcu: chip_celsius(chip),
             motor: Temperatures {

@@ -58,6 +58,16 @@ fn in_power(power: PowerState) -> GripController {
 }
 
 #[test]
+fn late_control_loop_differs_from_accelerating_rotor() {
+    for (trip, detail) in [(Trip::Runaway, 0), (Trip::CommandTimeout, 1)] {
+        let tripped = MotorStatus { state: MotorState::Tripped(trip), ..armed_motor() };
+        let outputs = step(&mut in_power(PowerState::Enabled), &both(0.0), tripped);
+        let event = outputs.events.iter().find(|event| event.code == Fault::Runaway as u16);
+        assert_eq!(event.map(|event| event.detail), Some(detail), "{trip:?}");
+    }
+}
+
+#[test]
 fn calibration_ends_at_faults_but_not_at_trips_and_warnings() {
     let motor = MotorStatus::default();
     for (faults, expected) in [

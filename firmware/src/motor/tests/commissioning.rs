@@ -57,6 +57,14 @@ fn commissioning_reports_the_defect() {
     assert_eq!(error_of(|model| model.imposed_speed = Some(0.0)), CommissioningError::Stuck);
     let open = error_of(|model| model.resistance = 100.0);
     assert!(matches!(open, CommissioningError::NoCurrent { .. }), "{open:?}");
+    // Exchanged sensors of V and W, and inverted ones.
+    for exchanged in [
+        error_of(|model| model.senses = |[u, v, w]| [u, w, v]),
+        error_of(|model| model.senses = |[u, v, w]| [u, -v, w]),
+        error_of(|model| model.senses = |[u, v, w]| [u, v, -w]),
+    ] {
+        assert_eq!(exchanged, CommissioningError::CurrentSense);
+    }
     let high_ohm = error_of(|model| model.resistance = 1.7);
     assert!(
         matches!(high_ohm, CommissioningError::Resistance { measured_ohm } if measured_ohm > 1.6),

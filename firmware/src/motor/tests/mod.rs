@@ -27,6 +27,8 @@ pub struct MotorModel {
     /// Capacitance of the bus, whose supply takes no energy back; zero: constant voltage.
     pub capacitance: f64,
     pub swapped: bool,
+    /// What the current sensors make of the phase currents.
+    pub senses: fn([f64; 3]) -> [f64; 3],
     /// Offset of the sensor in turns.
     pub offset: f64,
     /// Imposed speed in rad/s.
@@ -53,6 +55,7 @@ impl MotorModel {
             bus: 24.0,
             capacitance: 0.0,
             swapped: false,
+            senses: |phases| phases,
             offset: 0.0,
             imposed_speed: None,
             current: [0.0; 2],
@@ -127,7 +130,7 @@ impl MotorModel {
         let noise_turns = f64::from(u8::from(self.noise)) / 16384.0;
         let turns = self.angle / TAU + self.offset + noise_turns;
         self.sensed = MotorSamples {
-            phases: phases
+            phases: (self.senses)(phases)
                 .map(|current| (2048.0 + current / 0.0125).round().clamp(0.0, 4095.0) as u16),
             bus: (self.bus / 0.015).round() as u16,
             angle: Ok((turns * 16384.0).floor() as i64 as u16 & 0x3fff),

@@ -27,6 +27,36 @@ fn lost_angle_brakes_within_a_millisecond() {
 }
 
 #[test]
+fn brake_ends_below_the_voltage_of_the_gate_drivers() {
+    let mut model = MotorModel::new();
+    let mut motor = armed(&mut model, Settings::assumed(Screw::A));
+    let at = |bus| MotorSamples { angle: Err(EncoderError::ErrorFlag), bus, ..model.sensed };
+    for _ in 0..20 {
+        both(&mut motor, &at(1600));
+    }
+    assert_eq!(both(&mut motor, &at(1600)), BridgeCommand::Brake);
+    // 7.5 V.
+    assert_eq!(both(&mut motor, &at(500)), BridgeCommand::Off);
+    assert_eq!(both(&mut motor, &at(1600)), BridgeCommand::Brake);
+}
+
+#[test]
+fn events_wait_while_their_queue_is_full() {
+    let mut model = MotorModel::new();
+    let mut motor = armed(&mut model, Settings::assumed(Screw::A));
+    let without_angle = MotorSamples { angle: Err(EncoderError::ErrorFlag), ..model.sensed };
+    let inner = &mut motor.inner;
+    inner.take_report();
+    for _ in 0..20 {
+        inner.tick(&without_angle);
+    }
+    inner.push_report(Err);
+    let report = inner.take_report();
+    assert!(report.is_angle_lost);
+    assert!(!inner.take_report().is_angle_lost);
+}
+
+#[test]
 fn overcurrent_switches_all_bridges_off() {
     let mut model = MotorModel::new();
     let mut motor = armed(&mut model, Settings::assumed(Screw::A));

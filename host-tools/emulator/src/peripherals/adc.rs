@@ -27,9 +27,16 @@ const CONVERSION: u64 = 25;
 /// A calibration takes 116 cycles (21.4.8); the converter is ready 1 us after it is enabled, at the most.
 const CALIBRATION: u64 = 116;
 const STABILISATION: Time = Time::from_us(1);
-/// JEXTSEL of TIM1_TRGO2, and JEXTEN of a rising edge.
-const TIM1_TRGO2: u8 = 8;
+/// JEXTEN of a rising edge.
 const RISING: u8 = 1;
+/// The first conversion later than this after the last one, or after the calibration, may be wrong (ES0430, "Wrong ADC
+/// conversion results when delay between calibration and first conversion or between two consecutive conversions is too
+/// long"); by so many counts here.
+const LONG_PAUSE: Time = Time::from_ms(1);
+const PAUSE_ERROR: u16 = 100;
+/// What a conversion of another converter adds to a sample that is converted meanwhile, in counts (ES0430, "ADC results
+/// disturbed by conversions of another ADC instance").
+const DISTURBANCE: u16 = 12;
 /// Flags: ready, end of a regular conversion and of their sequence, of an injected conversion and of their sequence.
 const READY: u32 = 1;
 const REGULAR_END: u32 = 1 << 2 | 1 << 3;
@@ -52,6 +59,15 @@ enum Work {
     Regular(u32),
 }
 
+/// Triggers of injected conversions, by JEXTSEL (RM0440 tables 164 and 166).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Trigger {
+    /// TIM1_TRGO.
+    Tim1Trgo = 0,
+    /// TIM1_TRGO2.
+    Tim1Trgo2 = 8,
+}
+
 /// What the inputs of a converter are connected to.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Inputs {
@@ -71,6 +87,12 @@ pub struct Adc {
     work: Option<(Time, Work)>,
     inputs: Inputs,
     sampled: [u16; 4],
+    /// End of the last conversion or calibration.
+    converted: Time,
+    /// The conversion under way is the first one after a long pause.
+    is_late: bool,
+    /// Another converter converts at the same time.
+    is_disturbed: bool,
     /// Triggers that came while the last sequence was under way.
     pub missed: u64,
     /// Sequences whose results nobody had read when the next ended.
@@ -89,6 +111,9 @@ impl Adc {
             work: None,
             inputs,
             sampled: [0; 4],
+            converted: Time::ZERO,
+            is_late: false,
+            is_disturbed: false,
             missed: 0,
             overwritten: 0,
         }
@@ -130,28 +155,75 @@ impl Adc {
         clock.cycles(count * divisor).ps().checked_div(2).map_or(Time::NEVER, Time::from_ps)
     }
 
-    /// The timer's trigger.
-    pub(crate) fn trigger(&mut self, context: &mut Context) {
+    /// Whether it converts.
+    pub(crate) fn is_converting(&self) -> bool {
+        matches!(self.work, Some((_, Work::Sample(_) | Work::Convert | Work::Regular(_))))
+    }
+
+    /// A conversion begins.
+    fn begin(&mut self, ends: Time, work: Work, now: Time) {
+        self.is_late = now.since(self.converted) > LONG_PAUSE;
+        self.work = Some((ends, work));
+    }
+
+    /// Another converter converts.
+    pub(crate) fn disturb(&mut self) {
+        self.is_disturbed = self.is_converting();
+    }
+
+    /// What a conversion gives for an input with these counts.
+    fn with_errors(&self, counts: u16, is_first: bool) -> u32 {
+        let late = if self.is_late && is_first { PAUSE_ERROR } else { 0 };
+        let disturbed = if self.is_disturbed { DISTURBANCE } else { 0 };
+        (counts + late + disturbed).min(4095).into()
+    }
+
+    /// Injected channels in the order of their conversions, with their beginning and the end of sampling after the trigger.
+    pub(crate) fn sampling_times(&self, context: &Context) -> Vec<(u32, Time, Time)> {
+        let mut before = 0;
+        let times = self.injected().into_iter().map(|channel| {
+            let (from, time) = (before, self.conversion(channel));
+            before += time;
+            let sampled = from + time - CONVERSION;
+            (channel, self.half_cycles(from, context), self.half_cycles(sampled, context))
+        });
+        times.collect()
+    }
+
+    /// Injected channels in the order of their conversions.
+    fn injected(&self) -> Vec<u32> {
+        let ranks = 0..=u32::from(Jsqr(self.word(JSQR)).jl());
+        ranks.map(|rank| self.word(JSQR) >> (9 + 6 * rank) & 0x1F).collect()
+    }
+
+    /// Number of the phase that a channel measures, U to W.
+    pub(crate) fn phase(&self, channel: u32) -> Option<usize> {
+        let Inputs::Motor([phases @ .., _]) = self.inputs else { return None };
+        phases.iter().position(|phase| *phase == channel)
+    }
+
+    /// A trigger of the timer; true where a sequence begins.
+    pub(crate) fn trigger(&mut self, trigger: Trigger, context: &mut Context) -> bool {
         let jsqr = Jsqr(self.word(JSQR));
         let cr = Cr(self.word(CR));
         if !cr.aden()
             || !cr.jadstart()
             || jsqr.jexten().to_bits() != RISING
-            || jsqr.jextsel() != TIM1_TRGO2
+            || jsqr.jextsel() != trigger as u8
         {
-            return;
+            return false;
         }
         if matches!(self.work, Some((_, Work::Sample(_) | Work::Convert))) {
             self.missed += 1;
-            return;
+            return false;
         }
-        let channels =
-            (0..=u32::from(jsqr.jl())).map(|rank| self.word(JSQR) >> (9 + 6 * rank) & 0x1F);
+        let channels = self.injected().into_iter();
         let times: Vec<u64> = channels.map(|channel| self.conversion(channel)).collect();
         let first = times.first().map_or(0, |time| time - CONVERSION);
         let sampled = context.now + self.half_cycles(first, context);
         let ends = context.now + self.half_cycles(times.iter().sum(), context);
-        self.work = Some((sampled, Work::Sample(ends)));
+        self.begin(sampled, Work::Sample(ends), context.now);
+        true
     }
 
     pub(crate) fn next_event(&self) -> Time {
@@ -163,34 +235,53 @@ impl Adc {
             return;
         };
         match work {
-            Work::Calibrate => *self.word_mut(CR) &= !CALIBRATE,
+            Work::Calibrate => {
+                *self.word_mut(CR) &= !CALIBRATE;
+                self.converted = now;
+            }
             Work::Stabilise => {
                 self.is_ready = true;
                 *self.word_mut(ISR) |= READY;
             }
             Work::Sample(ends) => {
-                self.sampled = drivetrain.sample();
+                if matches!(self.inputs, Inputs::Motor(_)) {
+                    self.sampled = drivetrain.sample();
+                } else {
+                    self.sampled[..3].copy_from_slice(&drivetrain.temperatures());
+                }
                 self.work = Some((ends, Work::Convert));
             }
             Work::Convert => {
-                let jsqr = self.word(JSQR);
-                for rank in 0..4 {
-                    let channel = jsqr >> (9 + 6 * rank) & 0x1F;
-                    let Inputs::Motor(inputs) = &self.inputs else { continue };
-                    let input = inputs.iter().position(|input| *input == channel);
-                    *self.word_mut(JDR0 + 4 * rank) =
-                        input.map_or(0, |input| self.sampled[input]).into();
+                for (rank, channel) in (0..).zip(self.injected()) {
+                    let input = self.input(channel);
+                    let counts = input.map_or(0, |input| self.sampled[input]);
+                    *self.word_mut(JDR0 + 4 * rank) = self.with_errors(counts, rank == 0);
                 }
                 self.overwritten += u64::from(self.word(ISR) & SEQUENCE != 0);
                 *self.word_mut(ISR) |= END | SEQUENCE;
+                self.end(now);
             }
             Work::Regular(channel) => {
-                let Inputs::Temperatures(inputs) = &self.inputs else { return };
-                let input = inputs.iter().find(|(known, _)| *known == channel);
                 let counts = drivetrain.temperatures();
-                *self.word_mut(DR) = input.map_or(0, |(_, input)| counts[*input]).into();
+                let counts = self.input(channel).map_or(0, |input| counts[input]);
+                *self.word_mut(DR) = self.with_errors(counts, true);
                 *self.word_mut(ISR) |= REGULAR_END;
                 *self.word_mut(CR) &= !(1 << 2);
+                self.end(now);
+            }
+        }
+    }
+
+    fn end(&mut self, now: Time) {
+        (self.converted, self.is_disturbed) = (now, false);
+    }
+
+    /// Number of what a channel is connected to.
+    fn input(&self, channel: u32) -> Option<usize> {
+        match &self.inputs {
+            Inputs::Motor(channels) => channels.iter().position(|known| *known == channel),
+            Inputs::Temperatures(channels) => {
+                channels.iter().find(|(known, _)| *known == channel).map(|(_, input)| *input)
             }
         }
     }
@@ -321,7 +412,7 @@ impl Adc {
                 context.report(Kind::UnmodelledSetting, CR, "regular conversions of these inputs");
             }
             let ends = now + self.half_cycles(self.conversion(channel), context);
-            self.work = Some((ends, Work::Regular(channel)));
+            self.begin(ends, Work::Regular(channel), now);
         }
         if value & 0b1100 != 0 && !has_pins {
             context.report(Kind::PinNotConnected, CR, "an input of the converter is not analog");

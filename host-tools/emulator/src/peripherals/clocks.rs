@@ -28,6 +28,11 @@ const HSI48_START: Time = Time::from_ns(2500);
 const LSI_START: Time = Time::from_us(80);
 const PLL_LOCK: Time = Time::from_us(15);
 
+/// Above this the core's clock rises in two steps, with at least this time at half of it by the AHB prescaler (RM0440 6.1.5; ST's
+/// HAL_RCC_ClockConfig does the same).
+const HALF_SPEED: Frequency = Frequency(80_000_000);
+const TRANSITION: Time = Time::from_us(1);
+
 /// Frequencies of the clocks that peripherals run on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Clocks {
@@ -109,6 +114,8 @@ pub struct Rcc {
     /// The low-speed oscillator of this chip: 32 kHz, 29.5 to 34 over temperature and supply.
     lsi: Frequency,
     clocks: Clocks,
+    /// When the core's clock changed last.
+    changed: Time,
     css_failed: bool,
 }
 
@@ -136,6 +143,7 @@ impl Rcc {
                 rng: Frequency(0),
                 lsi,
             },
+            changed: Time::ZERO,
             css_failed: false,
         };
         rcc.reset(Time::ZERO, ResetCause::PowerOn);
@@ -321,7 +329,25 @@ impl Rcc {
             return;
         }
         wanted.set_sws(wanted.sw());
+        let before = self.clocks.core;
         *self.word_mut(CFGR) = wanted.0;
+        self.derive();
+        let after = self.clocks.core;
+        if after == before {
+            return;
+        }
+        let lasted = context.now.since(self.changed);
+        self.changed = context.now;
+        if after > HALF_SPEED
+            && after > before
+            && (2 * u64::from(before.0) < after.0.into() || lasted < TRANSITION)
+        {
+            context.report(
+                Kind::ClockLimit,
+                CFGR,
+                "the core's clock rises above 80 MHz without 1 us at half of it",
+            );
+        }
     }
 
     fn pll(&self) -> Frequency {
@@ -439,12 +465,17 @@ mod tests {
         with(&mut rcc, Time::from_ms(2), CR, 0x0101_0500);
         let early = with(&mut rcc, Time::from_ms(2), CFGR, 3);
         assert!(early.iter().any(|violation| violation.kind == Kind::Misconfigured));
-        assert!(with(&mut rcc, Time::from_us(2015), CFGR, 3).is_empty());
+        // HPRE 8: halved, for 1 us.
+        assert!(with(&mut rcc, Time::from_us(2015), CFGR, 3 | 8 << 4).is_empty());
+        assert_eq!(rcc.clocks().core, Frequency(80_000_000));
+        let jump = with(&mut rcc.clone(), Time::from_ns(2_015_900), CFGR, 3);
+        assert!(jump.iter().any(|violation| violation.kind == Kind::ClockLimit));
+        assert!(with(&mut rcc, Time::from_us(2016), CFGR, 3).is_empty());
         assert_eq!(rcc.clocks().core, Frequency(160_000_000));
         // FDCANSEL 1: PLL Q.
         with(&mut rcc, Time::from_us(2015), CCIPR, 1 << 24);
         assert_eq!(rcc.clocks().fdcan, Frequency(80_000_000));
-        // HPRE 8: halved; APB1 / 4 doubles its timers' clock.
+        // APB1 / 4 doubles its timers' clock.
         with(&mut rcc, Time::from_us(2015), CFGR, 3 | 8 << 4 | 5 << 8);
         assert_eq!(rcc.clocks().apb1, Frequency(20_000_000));
         assert_eq!(rcc.clocks().apb1_timers, Frequency(40_000_000));

@@ -135,6 +135,16 @@ impl Flash {
         self.options = options;
     }
 
+    /// With a single bank (DBANK = 0) pages have twice the size, and BKER does not count (3.3.1).
+    fn page_bytes(&self) -> usize {
+        if Optr(self.options).dbank() { PAGE } else { 2 * PAGE }
+    }
+
+    /// Whether the program runs from the bank with this offset.
+    fn runs_from(&self, offset: usize) -> bool {
+        offset < BANK || !Optr(self.options).dbank()
+    }
+
     /// Supply in millivolts below which the chip is held in reset, by BOR_LEV (3.7.8); falling, without the hysteresis.
     pub(crate) fn brown_out_mv(&self) -> u32 {
         const LEVELS_MV: [u32; 5] = [1700, 2000, 2200, 2500, 2800];
@@ -246,7 +256,7 @@ impl Flash {
             self.sr.set_progerr(true);
             return;
         }
-        if offset < BANK {
+        if self.runs_from(offset) {
             context.report(
                 Kind::FlashProgramming,
                 address,
@@ -286,7 +296,7 @@ impl Flash {
             None => Remains::Everything,
         };
         let range = match operation {
-            Operation::Erase(page) => page..page + PAGE,
+            Operation::Erase(page) => page..page + self.page_bytes(),
             Operation::Program(word, _) => word..word + WORD,
         };
         match remains {
@@ -379,8 +389,13 @@ impl Flash {
         self.cr.set_strt(false);
         if next.strt() {
             if next.per() {
-                let bank = if next.bker() { BANK } else { 0 };
-                let page = bank + usize::from(next.pnb()) * PAGE;
+                let size = self.page_bytes();
+                let bank = if next.bker() && size == PAGE { BANK } else { 0 };
+                let page = bank + usize::from(next.pnb()) * size;
+                if self.runs_from(page) {
+                    let detail = "a page of the bank that the program runs from";
+                    context.report(Kind::FlashProgramming, CR, detail);
+                }
                 self.begin(Operation::Erase(page), context.now + ERASE);
             } else {
                 context.report(Kind::FlashProgramming, CR, "started without a page to erase")

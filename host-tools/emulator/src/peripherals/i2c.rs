@@ -22,6 +22,11 @@ const BYTE_BITS: u64 = 9;
 const STOP_BITS: u64 = 1;
 /// The shortest bit that ordinary pads drive: 400 kHz.
 const FAST_MODE_BIT: Time = Time::from_ns(2400);
+/// Kernel cycles that synchronisation adds to a bit.
+const SYNCHRONISATION: u64 = 4;
+/// The slowest kernel clock of Fast-mode Plus (RM0440 41.4.2; embassy-stm32 asserts it; ES0430 2.15.1 has 20 MHz): a slower one
+/// samples data wrongly.
+const FAST_MODE_PLUS_CLOCK: Frequency = Frequency(17_000_000);
 /// How often lines that a device holds are looked at again.
 const BLOCKED: Time = Time::from_us(5);
 /// Flags that ICR clears.
@@ -101,11 +106,13 @@ impl I2c {
         self.due
     }
 
-    /// A bit: low and high time by TIMINGR, and what edges, filter and synchronisation add to both (41.4.9).
-    fn bits(&self, count: u64, synchronisation: Time) -> Time {
+    /// A bit: low and high time by TIMINGR, what edges and filter add to both, and two cycles of synchronisation for each
+    /// (41.4.9).
+    fn bits(&self, count: u64, delay: Time) -> Time {
         let timing = Timingr(self.timing);
         let cycles = u64::from(timing.scll()) + u64::from(timing.sclh()) + 2;
-        let bit = self.clock.cycles(cycles * (u64::from(timing.presc()) + 1)) + synchronisation;
+        let cycles = cycles * (u64::from(timing.presc()) + 1) + SYNCHRONISATION;
+        let bit = self.clock.cycles(cycles) + delay;
         Time::from_ps(bit.ps().saturating_mul(count))
     }
 
@@ -114,8 +121,8 @@ impl I2c {
         bus.released(now) != [true; 2]
     }
 
-    /// What is due has happened. `synchronisation` is what a bit takes beyond the register's times.
-    pub(crate) fn advance(&mut self, now: Time, synchronisation: Time, bus: &mut dyn I2cBus) {
+    /// What is due has happened. `delay` is what edges and filter add to a bit.
+    pub(crate) fn advance(&mut self, now: Time, delay: Time, bus: &mut dyn I2cBus) {
         if self.due > now {
             return;
         }
@@ -125,14 +132,14 @@ impl I2c {
             return;
         }
         match self.phase {
-            Phase::Address => self.end_address(now, synchronisation, bus),
+            Phase::Address => self.end_address(now, delay, bus),
             Phase::Send(byte) => {
                 let is_acknowledged = bus.write(byte);
                 self.left = self.left.saturating_sub(1);
                 match (is_acknowledged, self.left) {
-                    (false, _) => self.refuse(now, synchronisation),
-                    (true, 0) => self.end_bytes(now, synchronisation),
-                    (true, _) => self.send_or_await_byte(now, synchronisation),
+                    (false, _) => self.refuse(now, delay),
+                    (true, 0) => self.end_bytes(now, delay),
+                    (true, _) => self.send_or_await_byte(now, delay),
                 }
             }
             Phase::Receive => {
@@ -140,7 +147,7 @@ impl I2c {
                 self.isr.set_rxne(true);
                 self.left = self.left.saturating_sub(1);
                 match self.left {
-                    0 => self.end_bytes(now, synchronisation),
+                    0 => self.end_bytes(now, delay),
                     _ => self.phase = Phase::AwaitRead,
                 }
             }
@@ -155,75 +162,75 @@ impl I2c {
                 self.phase = Phase::Idle;
                 // A start that was asked for meanwhile (41.4.9).
                 if self.cr2.start() {
-                    self.start(now, synchronisation);
+                    self.start(now, delay);
                 }
             }
             Phase::Idle | Phase::AwaitByte | Phase::AwaitRead | Phase::Hold => {}
         }
     }
 
-    fn end_address(&mut self, now: Time, synchronisation: Time, bus: &mut dyn I2cBus) {
+    fn end_address(&mut self, now: Time, delay: Time, bus: &mut dyn I2cBus) {
         self.cr2.set_start(false);
         let address = (self.cr2.sadd() >> 1) as u8 & 0x7F;
         let is_read = self.cr2.dir().to_bits() == 1;
         if !bus.address(now, address, is_read) {
             self.is_addressed = false;
-            self.refuse(now, synchronisation);
+            self.refuse(now, delay);
             return;
         }
         self.is_addressed = true;
         self.left = self.cr2.nbytes();
         match (is_read, self.left) {
-            (_, 0) => self.end_bytes(now, synchronisation),
+            (_, 0) => self.end_bytes(now, delay),
             (true, _) if self.isr.rxne() => self.phase = Phase::AwaitRead,
-            (true, _) => self.receive(now, synchronisation),
-            (false, _) => self.send_or_await_byte(now, synchronisation),
+            (true, _) => self.receive(now, delay),
+            (false, _) => self.send_or_await_byte(now, delay),
         }
     }
 
     /// A NACK ends the transfer with a stop, whatever AUTOEND says (41.4.9).
-    fn refuse(&mut self, now: Time, synchronisation: Time) {
+    fn refuse(&mut self, now: Time, delay: Time) {
         self.isr.set_nackf(true);
-        self.stop(now, synchronisation);
+        self.stop(now, delay);
     }
 
-    fn start(&mut self, now: Time, synchronisation: Time) {
+    fn start(&mut self, now: Time, delay: Time) {
         self.isr.set_busy(true);
         self.isr.set_tc(false);
         self.isr.set_tcr(false);
         self.phase = Phase::Address;
-        self.due = now + self.bits(ADDRESS_BITS, synchronisation);
+        self.due = now + self.bits(ADDRESS_BITS, delay);
     }
 
-    fn stop(&mut self, now: Time, synchronisation: Time) {
+    fn stop(&mut self, now: Time, delay: Time) {
         self.isr.set_tc(false);
         self.phase = Phase::Stop;
-        self.due = now + self.bits(STOP_BITS, synchronisation);
+        self.due = now + self.bits(STOP_BITS, delay);
     }
 
-    fn receive(&mut self, now: Time, synchronisation: Time) {
+    fn receive(&mut self, now: Time, delay: Time) {
         self.phase = Phase::Receive;
-        self.due = now + self.bits(BYTE_BITS, synchronisation);
+        self.due = now + self.bits(BYTE_BITS, delay);
     }
 
     /// TXDR may be written before it is asked for.
-    fn send_or_await_byte(&mut self, now: Time, synchronisation: Time) {
+    fn send_or_await_byte(&mut self, now: Time, delay: Time) {
         if self.isr.txe() {
             self.phase = Phase::AwaitByte;
             self.isr.set_txis(true);
         } else {
             self.phase = Phase::Send(self.transmit);
             self.isr.set_txe(true);
-            self.due = now + self.bits(BYTE_BITS, synchronisation);
+            self.due = now + self.bits(BYTE_BITS, delay);
         }
     }
 
-    fn end_bytes(&mut self, now: Time, synchronisation: Time) {
+    fn end_bytes(&mut self, now: Time, delay: Time) {
         if self.cr2.reload().to_bits() == 1 {
             self.isr.set_tcr(true);
             self.phase = Phase::Hold;
         } else if self.cr2.autoend().to_bits() == 1 {
-            self.stop(now, synchronisation);
+            self.stop(now, delay);
         } else {
             self.isr.set_tc(true);
             self.phase = Phase::Hold;
@@ -234,6 +241,11 @@ impl I2c {
     pub(crate) fn leave_byte(&mut self, byte: u8) {
         self.received = byte;
         self.isr.set_rxne(true);
+    }
+
+    /// Detects a bus error that is none: the transfer goes on (ES0430 2.15.2).
+    pub(crate) fn raise_bus_error(&mut self) {
+        self.isr.set_berr(true);
     }
 
     /// Levels of the interrupts: event, error.
@@ -256,7 +268,7 @@ impl I2c {
     pub(crate) fn read(
         &mut self,
         offset: u32,
-        synchronisation: Time,
+        delay: Time,
         bus: &dyn I2cBus,
         context: &mut Context,
     ) -> u32 {
@@ -274,7 +286,7 @@ impl I2c {
             RXDR => {
                 self.isr.set_rxne(false);
                 if self.phase == Phase::AwaitRead {
-                    self.receive(context.now, synchronisation);
+                    self.receive(context.now, delay);
                 }
                 self.received.into()
             }
@@ -290,24 +302,31 @@ impl I2c {
         offset: u32,
         value: u32,
         [has_pins, is_fast_mode_plus]: [bool; 2],
-        synchronisation: Time,
+        delay: Time,
         context: &mut Context,
     ) {
         match offset {
             CR1 => {
                 self.write_cr1(value, has_pins, context);
-                if self.cr1.pe()
-                    && !is_fast_mode_plus
-                    && self.bits(1, synchronisation) < FAST_MODE_BIT
-                {
+                if self.cr1.pe() && !is_fast_mode_plus && self.bits(1, delay) < FAST_MODE_BIT {
                     context.report(
                         Kind::Misconfigured,
                         CR1,
                         "more than 400 kHz without the drivers of 20 mA (SYSCFG_CFGR1)",
                     );
                 }
+                if self.cr1.pe()
+                    && self.bits(1, delay) < FAST_MODE_BIT
+                    && self.clock < FAST_MODE_PLUS_CLOCK
+                {
+                    context.report(
+                        Kind::Misconfigured,
+                        CR1,
+                        "Fast-mode Plus with a kernel clock below 17 MHz",
+                    );
+                }
             }
-            CR2 => self.write_cr2(value, synchronisation, context),
+            CR2 => self.write_cr2(value, delay, context),
             TIMINGR if self.cr1.pe() => {
                 context.report(
                     Kind::WriteProtected,
@@ -337,7 +356,7 @@ impl I2c {
                 self.isr.set_txe(false);
                 self.transmit = value as u8;
                 if self.phase == Phase::AwaitByte {
-                    self.send_or_await_byte(context.now, synchronisation);
+                    self.send_or_await_byte(context.now, delay);
                 }
             }
             _ => {
@@ -378,7 +397,7 @@ impl I2c {
         }
     }
 
-    fn write_cr2(&mut self, value: u32, synchronisation: Time, context: &mut Context) {
+    fn write_cr2(&mut self, value: u32, delay: Time, context: &mut Context) {
         let old = self.cr2;
         // Start and stop are set by software and cleared by hardware.
         self.cr2 = Cr2(value | old.0 & 0x6000);
@@ -395,18 +414,18 @@ impl I2c {
             self.left = self.cr2.nbytes();
             match self.cr2.dir().to_bits() {
                 1 if self.isr.rxne() => self.phase = Phase::AwaitRead,
-                1 => self.receive(context.now, synchronisation),
-                _ => self.send_or_await_byte(context.now, synchronisation),
+                1 => self.receive(context.now, delay),
+                _ => self.send_or_await_byte(context.now, delay),
             }
         }
         if self.cr2.start() && !old.start() && matches!(self.phase, Phase::Idle | Phase::Hold) {
-            self.start(context.now, synchronisation);
+            self.start(context.now, delay);
         }
         if self.cr2.stop()
             && matches!(self.phase, Phase::Hold | Phase::AwaitByte | Phase::AwaitRead)
         {
             self.isr.set_txis(false);
-            self.stop(context.now, synchronisation);
+            self.stop(context.now, delay);
         }
     }
 

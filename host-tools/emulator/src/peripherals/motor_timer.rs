@@ -27,6 +27,8 @@ const ALL_OUTPUTS: u32 = 0x555;
 /// automatic output enable; of CR2 the outputs' idle levels.
 const LOCKED: u32 = 0x33FF_70FF;
 const LOCKED_IDLE_LEVELS: u32 = 0x0000_7F00;
+/// BDTR.MOE.
+const MAIN_OUTPUT: u32 = 1 << 15;
 /// LOCK itself is written once.
 const LOCK: u32 = 0x300;
 
@@ -58,6 +60,8 @@ pub struct MotorTimer {
     break_inputs: [bool; 2],
     /// Level of the supply's detector, where it is connected to the break.
     is_supply_low: bool,
+    /// A debugger has halted the core, and DBG_TIM1_STOP is set: no counting, outputs as without MOE (28.3.32).
+    is_stopped: bool,
     /// When the outputs were switched on (true) or off.
     pub switched: Vec<(Time, bool)>,
 }
@@ -75,6 +79,7 @@ impl MotorTimer {
             is_locked: false,
             break_inputs: [false; 2],
             is_supply_low: false,
+            is_stopped: false,
             switched: Vec::new(),
         };
         *timer.word_mut(ARR) = 0xFFFF;
@@ -111,7 +116,8 @@ impl MotorTimer {
 
     /// Whether the half bridges are driven: main output, channels and counter are on.
     pub fn is_driving(&self) -> bool {
-        self.bdtr().moe() && self.word(CCER) & ALL_OUTPUTS == ALL_OUTPUTS && bit(self.word(CR1), 0)
+        let is_on = self.bdtr().moe() && !self.is_stopped;
+        is_on && self.word(CCER) & ALL_OUTPUTS == ALL_OUTPUTS && bit(self.word(CR1), 0)
     }
 
     /// Shares of the period in which the high sides are on; none where the outputs are off.
@@ -179,7 +185,33 @@ impl MotorTimer {
     /// Whether the rise of the fourth channel's reference is the trigger TRGO2: PWM mode 2 and MMS2.
     pub(crate) fn triggers_converter(&self) -> bool {
         let mode = self.word(CCMR_OUTPUT1) >> 12 & 7 | self.word(CCMR_OUTPUT1) >> 21 & 8;
-        mode == 7 && self.word(CR2) >> 20 & 0xF == 7
+        mode == 7 && self.word(CR2) >> 20 & 0xF == 7 && !self.is_stopped
+    }
+
+    /// Whether TRGO follows the update event: MMS.
+    pub(crate) fn triggers_on_update(&self) -> bool {
+        self.word(CR2) >> 4 & 7 == 2 && !self.is_stopped
+    }
+
+    /// From when to when in this period each low side is on; none where the outputs are off.
+    pub(crate) fn low_side_windows(&self) -> Option<[[Time; 2]; 3]> {
+        let dead = u64::from(self.bdtr().dtg());
+        let at = |counts: u64| self.since + self.clock.cycles(counts);
+        let window = |compare: u32| match u64::from(compare) {
+            0 => [Time::ZERO, Time::NEVER],
+            compare => [at(compare + dead), at(2 * u64::from(self.reload) - compare)],
+        };
+        let [u, v, w, _] = self.compares;
+        self.is_driving().then(|| [u, v, w].map(window))
+    }
+
+    /// A debugger stops or continues the counter. Its events continue, as the time of what it drives does.
+    pub(crate) fn set_stopped(&mut self, is_stopped: bool, now: Time) {
+        let was_on = self.is_driving();
+        self.is_stopped = is_stopped;
+        if self.is_driving() != was_on {
+            self.switched.push((now, !was_on));
+        }
     }
 
     /// The level at a break input changes.
@@ -224,13 +256,16 @@ impl MotorTimer {
         })
     }
 
+    /// Flags of the breaks that are active.
+    fn active_breaks(&self) -> u32 {
+        let [first, second] = self.is_broken();
+        let system = self.is_supply_low && self.bdtr().bke(0);
+        u32::from(first) * BREAK + u32::from(second) * BREAK_2 + u32::from(system) * SYSTEM_BREAK
+    }
+
     fn check_breaks(&mut self, now: Time) {
         let broken = self.is_broken();
-        for (is_broken, flag) in broken.into_iter().zip([BREAK, BREAK_2]) {
-            if is_broken {
-                *self.word_mut(SR) |= flag;
-            }
-        }
+        *self.word_mut(SR) |= self.active_breaks();
         if broken.contains(&true) && self.bdtr().moe() {
             self.switch_off(now);
         }
@@ -296,7 +331,8 @@ impl MotorTimer {
                     self.switch_off(context.now);
                 }
             }
-            SR => *self.word_mut(SR) &= value,
+            // A flag of a break that is active stays (28.6.6).
+            SR => *self.word_mut(SR) &= value | self.active_breaks(),
             BDTR => self.write_bdtr(value, context),
             CCR0..=CCR3 => *self.word_mut(offset) = value & 0xFFFF,
             ARR | RCR => *self.word_mut(offset) = value & 0xFFFF,
@@ -335,6 +371,10 @@ impl MotorTimer {
             context.report(Kind::WriteProtected, BDTR, "bits that LOCK protects");
         }
         *self.word_mut(BDTR) = value & !keeps | old & keeps;
+        // "This flag must be reset to re-start PWM operation" (28.6.6, SBIF).
+        if self.word(SR) & SYSTEM_BREAK != 0 && old & MAIN_OUTPUT == 0 {
+            *self.word_mut(BDTR) &= !MAIN_OUTPUT;
+        }
         if self.bdtr().aoe() {
             context.report(Kind::UnmodelledSetting, BDTR, "outputs that come back by themselves");
         }

@@ -13,6 +13,8 @@ use crate::violations::Kind;
 registers! { "SPI1":
     CR1 = 0x00, CR2 = 0x04, SR = 0x08, DR16 = 0x0C, CRCPR = 0x10, RXCRCR = 0x14, TXCRCR = 0x18, I2SCFGR = 0x1C, I2SPR = 0x20,
 }
+/// Offset of the data register.
+pub(crate) const DATA: u32 = DR16;
 
 const RESET_CR2: u32 = 0x0700;
 /// CR1: bidirectional, CRC, 8 bits of CRC, receive only, least significant bit first.

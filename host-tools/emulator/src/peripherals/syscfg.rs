@@ -78,28 +78,33 @@ impl Syscfg {
     }
 }
 
-/// The debug unit's registers.
+/// The debug unit's registers (47.16): control, and what stops while a debugger halts the core.
 #[derive(Clone, Default)]
 pub struct Dbgmcu {
-    control: u32,
+    words: [u32; 5],
 }
 
 impl Dbgmcu {
     /// STM32G474, revision 2.
     const IDCODE: u32 = 0x2003_6469;
+    const APB2FZR: u32 = 0x10;
+
+    /// DBG_TIM1_STOP.
+    pub(crate) fn stops_motor_timer(&self) -> bool {
+        bit(self.words[Self::APB2FZR as usize / 4], 11)
+    }
 
     pub(crate) fn read(&mut self, offset: u32, context: &mut Context) -> u32 {
         match offset {
             0 => Self::IDCODE,
-            4 => self.control,
+            4..=Self::APB2FZR => self.words[offset as usize / 4],
             _ => context.unmodelled(offset),
         }
     }
 
     pub(crate) fn write(&mut self, offset: u32, value: u32, context: &mut Context) {
         match offset {
-            // Clocks that go on while the core sleeps, for a debugger.
-            4 => self.control = value,
+            4..=Self::APB2FZR => self.words[offset as usize / 4] = value,
             _ => {
                 context.unmodelled(offset);
             }

@@ -19,8 +19,8 @@ use firmware::system::faults::Event;
 pub struct ChipConditions {
     /// Instruction timing.
     pub model: CycleModel,
-    /// Synchronisation delay per bit on the sensor buses, in addition to the timing register.
-    pub i2c_synchronisation: Time,
+    /// Delay of a bit on the sensor buses by edges and filter.
+    pub i2c_delay: Time,
     /// Oscillator of the watchdog.
     pub lsi: Frequency,
     /// Seed of random numbers and of memory contents at power-on.
@@ -31,7 +31,7 @@ impl ChipConditions {
     /// Shortest execution times, fastest buses, slowest watchdog.
     pub const FAST: Self = Self {
         model: CycleModel::FAST,
-        i2c_synchronisation: Time::from_ns(250),
+        i2c_delay: Time::from_ns(100),
         lsi: Frequency(29_500),
         seed: 1,
     };
@@ -39,7 +39,7 @@ impl ChipConditions {
     /// Typical values.
     pub const TYPICAL: Self = Self {
         model: CycleModel::TYPICAL,
-        i2c_synchronisation: Time::from_ns(375),
+        i2c_delay: Time::from_ns(360),
         lsi: Frequency(32_000),
         seed: 2,
     };
@@ -47,7 +47,7 @@ impl ChipConditions {
     /// Longest execution times, slowest buses, fastest watchdog.
     pub const SLOW: Self = Self {
         model: CycleModel::SLOW,
-        i2c_synchronisation: Time::from_ns(500),
+        i2c_delay: Time::from_ns(625),
         lsi: Frequency(34_000),
         seed: 3,
     };
@@ -91,9 +91,10 @@ impl EmulatedBoard {
         let devices = devices(&connections, gripper);
         let options = Options {
             wiring,
-            i2c_synchronisation: conditions.i2c_synchronisation,
+            i2c_delay: conditions.i2c_delay,
             lsi: conditions.lsi,
             seed: conditions.seed,
+            ..Options::default()
         };
         let chip = Chip::new(image, conditions.model, options, devices)
             .context("the image does not start")?;
