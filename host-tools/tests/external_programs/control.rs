@@ -212,8 +212,10 @@ pub fn no_exit_releases_a_foreign_grip() -> Result<(), Failed> {
         (Signal::QUIT, None),
         (Signal::KILL, None),
     ] {
-        if signal == Signal::HUP && is_hangup_ignored() {
-            println!("not sent: SIGHUP, which `nohup` made this program and its children ignore");
+        if [Signal::HUP, Signal::QUIT].contains(&signal) && is_ignored(signal) {
+            println!(
+                "not sent: {signal:?}, which the caller made this program and its children ignore"
+            );
             continue;
         }
         let host = cell.host(&cell.emulation.can, &line, &holds);
@@ -247,13 +249,13 @@ pub fn no_exit_releases_a_foreign_grip() -> Result<(), Failed> {
     Ok(())
 }
 
-/// Whether this program ignores SIGHUP, as after `nohup`.
-fn is_hangup_ignored() -> bool {
+/// Whether this program ignores a signal: SIGHUP after `nohup`, SIGQUIT in the background of a script.
+fn is_ignored(signal: Signal) -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
     ignored
         .and_then(|bits| u64::from_str_radix(bits.trim(), 16).ok())
-        .is_some_and(|bits| bits & 1 == 1)
+        .is_some_and(|bits| bits >> (signal.as_raw() - 1) & 1 == 1)
 }
 
 impl Cell {
