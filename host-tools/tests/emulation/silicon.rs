@@ -5,7 +5,7 @@ use emulator::Frequency;
 use emulator::wiring::Wiring;
 use firmware::config::constants::MODULATION;
 use firmware::grip::commands::mode;
-use firmware::motor::calibration::CalibrationKind;
+use firmware::motor::calibration::{CalibrationFailure, CalibrationKind};
 use firmware::protocol::messages::{Command, Message};
 use firmware::protocol::serial::{Packet, PacketDecoder};
 use firmware::protocol::session::{op, status};
@@ -114,8 +114,10 @@ fn exchanged_senses() -> Result<(), Failed> {
     cell.host.service(op::MEASURE, CalibrationKind::Motor as u32);
     cell.until(5.0, |cell| !cell.host.received.replies.is_empty());
     let reply = cell.host.received.replies.first().map(|(_, reply)| *reply).ok_or("no reply")?;
-    println!("{reply:?}");
-    assert_ne!(reply.status, status::DONE, "{reply:?}");
+    assert_eq!(
+        (reply.op, reply.status, reply.detail),
+        (op::MEASURE, status::FAILED, CalibrationFailure::CurrentSense as u32)
+    );
     Ok(())
 }
 
