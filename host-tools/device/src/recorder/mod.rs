@@ -514,7 +514,10 @@ impl SensorRowAssembler {
                 None
             }
             (Packet::Message { message: Message::Heartbeat(beat), .. }, Some(sets)) => {
-                sets.continues(beat.counter).then_some(None).ok_or(Restarted)?
+                if !sets.continues(beat.counter) {
+                    return Err(Restarted);
+                }
+                None
             }
             (Packet::Tick(tick), None) => Some(SensorRow {
                 time_us: self.clock.extend(tick.time_us, at_s).ok_or(Restarted)?,
