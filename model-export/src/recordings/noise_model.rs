@@ -359,9 +359,20 @@ impl NoiseEstimate {
         if smooths.is_empty() {
             return Self { sample_rows: step, ..Self::default() };
         }
+        Self::by_smooths(recording, smooths, step)
+    }
+
+    /// By smooths of the sensors; `step`: rows between independent samples.
+    fn by_smooths(
+        recording: &mut Recording,
+        smooths: Vec<(u32, SmoothField)>,
+        step: usize,
+    ) -> Self {
         let correlation_s = smooths.iter().map(|(_, smooth)| smooth.correlation_s(recording));
         let correlation_s = correlation_s.fold(0.0, f64::max);
-        let smooth_g = left_g(smooths.iter().map(|(_, smooth)| smooth));
+        let left: Vec<f64> =
+            smooths.iter().map(|(_, smooth)| smooth.deviation_g().norm_squared() / 3.0).collect();
+        let smooth_g = root_mean(&left).unwrap_or(0.0);
         let mut covariates: Vec<String> =
             smooths.iter().flat_map(|(_, smooth)| smooth.covariates.clone()).collect();
         covariates.sort();
@@ -484,52 +495,36 @@ impl NoiseEstimate {
             return;
         }
         let numbers: Vec<u32> = recordings[0].sensors.keys().copied().collect();
-        let smooths: Option<Vec<Vec<SmoothField>>> = numbers
-            .iter()
-            .map(|sensor| SmoothField::through(recordings, *sensor, MAX_TERMS))
-            .collect();
+        let through = |sensor: &u32| SmoothField::through(recordings, *sensor, MAX_TERMS);
+        let smooths: Option<Vec<Vec<SmoothField>>> = numbers.iter().map(through).collect();
         let Some(smooths) = smooths else { return };
         let mut of_sensors: Vec<_> = smooths.into_iter().map(Vec::into_iter).collect();
         for recording in recordings {
-            let smooths: Vec<SmoothField> =
-                of_sensors.iter_mut().filter_map(Iterator::next).collect();
-            let step = recording.noise.sample_rows;
-            if is_short(recording)
-                && smooths.iter().all(|smooth| smooth.rows.len() >= MIN_ROWS.max(12 * step))
-            {
-                Self::estimate_again(recording, &numbers, smooths);
+            let of_recording = of_sensors.iter_mut().filter_map(Iterator::next);
+            let smooths: Vec<(u32, SmoothField)> =
+                numbers.iter().copied().zip(of_recording).collect();
+            let least = MIN_ROWS.max(12 * recording.noise.sample_rows);
+            if is_short(recording) && smooths.iter().all(|(_, smooth)| smooth.rows.len() >= least) {
+                Self::estimate_again(recording, smooths);
             }
         }
     }
 
-    /// By these smooths of the sensors, where the floor is lower by them.
-    fn estimate_again(recording: &mut Recording, numbers: &[u32], smooths: Vec<SmoothField>) {
-        let before = RawNoise::of(recording);
-        if let Some(raw) = recording.noise.raw.clone() {
-            raw.restore(recording);
+    /// By these smooths, where the floor is lower by them.
+    fn estimate_again(recording: &mut Recording, smooths: Vec<(u32, SmoothField)>) {
+        let mut again = recording.clone();
+        if let Some(raw) = &recording.noise.raw {
+            raw.restore(&mut again);
         }
-        let correlation_s = smooths.iter().map(|smooth| smooth.correlation_s(recording));
-        let correlation_s = correlation_s.fold(0.0, f64::max);
-        let step = recording.noise.sample_rows;
-        let smooth_g = left_g(smooths.iter());
-        let sensors = numbers.iter().zip(smooths);
-        let sensors =
-            sensors.map(|(sensor, smooth)| differences(recording, *sensor, smooth, step)).collect();
         let old = &recording.noise;
-        let (unit, covariates) = (old.unit, old.covariates.clone());
-        let again = Self {
-            unit,
-            smooth_g,
-            correlation_s,
-            covariates,
-            ..Self::by_differences(recording, sensors, step)
-        };
+        let estimate = Self::by_smooths(&mut again, smooths, old.sample_rows);
         let floor_g = |of: &Self| of.floor_g().unwrap_or(f64::INFINITY);
-        if floor_g(&again) < floor_g(&recording.noise) {
-            recording.noise = again;
+        if estimate.order == old.order && floor_g(&estimate) < floor_g(old) {
+            let (unit, covariates) = (old.unit, old.covariates.clone());
+            again.noise = Self { unit, covariates, ..estimate };
+            *recording = again;
         } else {
-            before.restore(recording);
-            recording.noise.smooth_g = smooth_g;
+            recording.noise.smooth_g = estimate.smooth_g;
         }
     }
 
@@ -537,13 +532,6 @@ impl NoiseEstimate {
     pub fn floor_g(&self) -> Option<f64> {
         self.floors_g.iter().find(|(of, _)| *of == self.estimator).map(|(_, floor_g)| *floor_g)
     }
-}
-
-/// Root mean square of what smooths leave, in gauss.
-fn left_g<'a>(smooths: impl Iterator<Item = &'a SmoothField>) -> f64 {
-    let squares: Vec<f64> =
-        smooths.map(|smooth| smooth.deviation_g().norm_squared() / 3.0).collect();
-    root_mean(&squares).unwrap_or(f64::NAN)
 }
 
 /// Root of the mean of squares.

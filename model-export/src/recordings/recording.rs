@@ -149,6 +149,11 @@ impl RecordingWindows {
         }
     }
 
+    /// The recording with that window which leaves less of the field, without the others of its campaign.
+    pub fn alone(self) -> Recording {
+        Self::better(vec![self]).remove(0)
+    }
+
     /// The recordings of a campaign with that window which leaves less of the field: one reference has one kind of rows. Their noise is
     /// estimated together.
     pub(super) fn better(all: Vec<Self>) -> Vec<Recording> {
@@ -172,8 +177,7 @@ impl Recording {
     /// # Errors
     /// It is no recording, or damaged.
     pub fn read(folder: &Path, alignment: Alignment) -> Result<Self, DataError> {
-        let windows = RecordingWindows::read(folder, alignment)?;
-        Ok(RecordingWindows::better(vec![windows]).remove(0))
+        Ok(RecordingWindows::read(folder, alignment)?.alone())
     }
 
     /// Reads it with the window of the aligned field scaled by `width`.

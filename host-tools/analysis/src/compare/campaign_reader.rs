@@ -171,10 +171,7 @@ impl CampaignReader {
         if let Some(campaign) = &self.cache {
             return Ok(Cow::Borrowed(&campaign.recordings[place]));
         }
-        stop::check();
-        let named = &self.names[place];
-        let recording = Recording::read(&named.folder, self.alignment)?;
-        Ok(Cow::Owned(recording.with_sha256(&named.sha256)))
+        Ok(Cow::Owned(self.read_windows(place)?.alone()))
     }
 
     /// All recordings as a campaign.
