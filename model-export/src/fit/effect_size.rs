@@ -76,7 +76,7 @@ fn within((value, std_error): (f64, f64), (low, high): (f64, f64)) -> bool {
 ///
 /// The standard error is the larger of that by blocks of time and, of three folds and more, that of the jackknife over the folds: the
 /// first is linear at the solution and misses what differs between recordings, such as the rate of a clock. The scatter over shapes
-/// that the recordings do not exclude is added where the fit has their profiles. An event has no standard error: it lies in one block.
+/// that the recordings do not exclude is added where the fit has their profiles. An event has no standard error: it is within one block.
 pub fn effect_sizes(fit: &JointFit, effects: &[EffectTerm], recordings: usize) -> Vec<EffectSize> {
     let folds: Vec<JointFit> = (0..fit.fold_count()).map(|fold| fit.without(fold)).collect();
     let of = |effect: &EffectTerm| {

@@ -238,8 +238,8 @@ impl ScreenedEffect {
         if self.p_adjusted < LEVEL { self.p_adjusted } else { f64::NAN }
     }
 
-    /// Whether it explains the fitted rows, and the error decreases in every fold. An event may lie in one block of time, which explains
-    /// as much with another sign.
+    /// Whether it explains the fitted rows, and the error decreases in every fold. An event may be within one block of time, which
+    /// explains as much with another sign.
     pub fn lowers_error(&self) -> bool {
         (self.p_explained < LEVEL || self.candidate.is_event())
             && self.evidence.wins() == self.evidence.folds.len()
