@@ -234,7 +234,10 @@ fn peak_to_peak(campaign: &Campaign, column: &str) -> Result<f64> {
         let columns: Vec<&Vec<f64>> = match column {
             "temp_c" => temperatures.filter(|t| !t.is_empty()).collect(),
             own if BUILT_IN_COVARIATES.contains(&own) => return Ok(f64::NAN),
-            _ => recording.covariates.get(source_column(column)).into_iter().collect(),
+            _ => {
+                let force = recording.force(column).map(|force| &force.newtons);
+                recording.covariates.get(source_column(column)).or(force).into_iter().collect()
+            }
         };
         if columns.is_empty() {
             let header = if column == "temp_c" { "sN_temp_c" } else { column };

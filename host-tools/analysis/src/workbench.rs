@@ -168,7 +168,9 @@ impl Workbench {
     /// Columns of the recordings for formulas.
     pub fn covariates(&self) -> Vec<String> {
         let first = self.campaign.recordings.first();
-        first.map_or_else(Vec::new, |recording| recording.covariates.keys().cloned().collect())
+        first.map_or_else(Vec::new, |recording| {
+            recording.covariates.keys().cloned().chain(recording.forces_on_several()).collect()
+        })
     }
 
     /// The model with these effects, if it was fitted for a comparison with a model with the effects `compared`.

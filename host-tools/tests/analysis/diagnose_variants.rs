@@ -388,3 +388,25 @@ fn a_reference_of_10_hz_has_the_floor_of_its_noise() {
         assert_eq!(diagnosis["at_floor"], true);
     }
 }
+
+/// The lateral force on the finger of sensor 1 bends that of sensor 0 by 2 % of it: 0.04 um/N at 500 N/mm.
+#[test]
+fn force_on_another_finger_is_found() {
+    let coupled = CampaignCopy::of("clean").change(&[1, 2, 3], "force.csv", |cells| {
+        let other = cells.numbers("f1_x_n");
+        cells.change("f0_x_n", |row, own_n| format!("{:.4}", own_n - 0.02 * other[row]));
+    });
+    let dir = WorkDir::empty();
+    let campaign = coupled.path().display().to_string();
+    dir.stdout(&["fit", &campaign, "-o", "model.toml"]);
+    let diagnosis = dir.json(&["diagnose", "model.toml", &campaign, "--json"]);
+    assert_eq!(diagnosis["at_floor"], true, "{diagnosis}");
+    let formula = &diagnosis["formulas"][0]["effects"][0];
+    let text = formula["expression"].as_str().unwrap();
+    assert!(text.contains("dx_um = a*f1_x_n"), "{text}");
+    let size = &formula["sensor"][0]["parameters"]["a"]["value"];
+    let size = size.as_f64().unwrap();
+    assert!((size - 0.04).abs() < 0.004, "{formula}");
+    let compared = dir.json(&["compare", "model.toml", &campaign, "--json"]);
+    assert_eq!(compared["where"][0]["covariate"], "f1_x_n", "{}", compared["where"]);
+}

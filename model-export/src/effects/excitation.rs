@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 
 use crate::effects::operators::{self, SmoothingImpulse};
 use crate::recordings::Recording;
-use crate::recordings::columns::Axis;
+use crate::recordings::columns::{Axis, force_column_name};
+use crate::recordings::recording::ForceSeries;
 
 /// Forces and covariates of one sensor over one recording, on the reference clock.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -33,6 +34,8 @@ pub struct ExcitationSeries {
     pub temperature_c: Vec<f64>,
     /// Covariates of the gripper by column name.
     pub covariates: BTreeMap<String, Vec<f64>>,
+    /// Forces on the other sensors by column name, and zero for this sensor's own; empty where it is the only one with forces.
+    pub forces_of_others: BTreeMap<String, Vec<f64>>,
 }
 
 impl ExcitationSeries {
@@ -76,6 +79,7 @@ impl ExcitationSeries {
                 .iter()
                 .map(|(name, values)| (name.clone(), select_rows(values, usable)))
                 .collect(),
+            forces_of_others: forces_of_others(recording, forces, usable),
             time_s,
         }
     }
@@ -101,6 +105,11 @@ impl ExcitationSeries {
             temperature_c: select_rows(&self.temperature_c, rows),
             covariates: self
                 .covariates
+                .iter()
+                .map(|(name, values)| (name.clone(), select_rows(values, rows)))
+                .collect(),
+            forces_of_others: self
+                .forces_of_others
                 .iter()
                 .map(|(name, values)| (name.clone(), select_rows(values, rows)))
                 .collect(),
@@ -149,9 +158,29 @@ impl ExcitationSeries {
                 Some(operators::smooth(&self.time_s, opening_mm).1)
             }
             "session_s" => Some(self.time_s.iter().map(|t| t + self.start_s).collect()),
-            _ => self.covariates.get(name).cloned(),
+            _ => self.covariates.get(name).or_else(|| self.forces_of_others.get(name)).cloned(),
         }
     }
+}
+
+/// Forces on all sensors but that of `own`, whose columns are zero; none where no other sensor has any.
+fn forces_of_others(
+    recording: &Recording,
+    own: [Option<(u32, Axis)>; 2],
+    usable: &[usize],
+) -> BTreeMap<String, Vec<f64>> {
+    let is_own = |sensor: u32| own.iter().flatten().any(|force| force.0 == sensor);
+    if recording.forces.keys().all(|(sensor, _)| is_own(*sensor)) {
+        return BTreeMap::new();
+    }
+    let column = |(key, series): (&(u32, Axis), &ForceSeries)| {
+        let values = match is_own(key.0) {
+            true => vec![0.0; usable.len()],
+            false => select_rows(&series.newtons, usable),
+        };
+        (force_column_name(*key), values)
+    };
+    recording.forces.iter().map(column).collect()
 }
 
 /// The values at these rows; empty for an empty column.

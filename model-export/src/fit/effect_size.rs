@@ -299,8 +299,12 @@ fn propagate(
     (value, variance.max(0.0).sqrt())
 }
 
-/// Norm and its standard error. The expected square of noise is subtracted.
+/// Norm and its standard error. The expected square of noise is subtracted. Where the recordings determine a coefficient at all, those
+/// that they do not determine (of the force on this sensor, in a formula of those on the others) are no part of it.
 fn norm(sensor: &SensorFit, parameters: std::ops::Range<usize>) -> (f64, f64) {
+    let is_determined = |index: &usize| sensor.identifiable[*index];
+    let is_any = parameters.clone().any(|index| is_determined(&index));
+    let parameters = parameters.filter(move |index| !is_any || is_determined(index));
     let values: Vec<f64> = parameters.clone().map(|index| sensor.values[index]).collect();
     let noise: f64 = parameters.clone().map(|index| sensor.std_error(index).powi(2)).sum();
     let square: f64 = values.iter().map(|v| v * v).sum();

@@ -26,7 +26,7 @@ use rayon::prelude::*;
 use crate::fit::FitError;
 use crate::fit::rows::{SensorRows, own_forces};
 use crate::physics::{ForwardModel, SensorMounting, SensorOrientation};
-use crate::recordings::columns::Axis;
+use crate::recordings::columns::{Axis, force_column_name};
 use crate::recordings::{Campaign, Location, Notice, Recording};
 
 /// Maximum plausible factor from nominal, either way.
@@ -209,7 +209,7 @@ fn description(sensor: u32, mounting: SensorMounting) -> String {
 }
 
 fn force_column(sensor: u32, force: usize) -> String {
-    format!("f{sensor}_{}_n", ["x", "z"][force])
+    force_column_name((sensor, [Axis::X, Axis::Z][force]))
 }
 
 /// The slopes of each recording in which the sensor has any.

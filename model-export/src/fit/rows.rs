@@ -6,7 +6,7 @@ use crate::effects::ExcitationSeries;
 use crate::effects::excitation::LoadCycleCounter;
 use crate::fit::FitError;
 use crate::physics::SensorOrientation;
-use crate::recordings::columns::Axis;
+use crate::recordings::columns::{Axis, force_column_name};
 use crate::recordings::dependence::{BlockFolds, block_folds};
 use crate::recordings::noise_model::{RowOrder, jitter_n};
 use crate::recordings::{Campaign, Location, Recording};
@@ -255,12 +255,12 @@ impl SensorRows {
             noise.order == RowOrder::Time && !noise.differences_hold_motion
         };
         let is_ordered = campaign.recordings.iter().all(has_noise);
-        for (i, (place, axis)) in self.forces.iter().enumerate() {
+        for (i, force) in self.forces.iter().enumerate() {
             let ForceSpread { sigma_n, noise_n, .. } = self.spread(i);
             // Rows in random order, and rows as far apart as a load's motion, have no noise in their differences: there the field shows
             // whether the load moved. Of other rows it would also follow the noise of forces that were estimated from it.
             if sigma_n <= MIN_EXCITATION * noise_n && (is_ordered || !self.is_followed(i)) {
-                let place = folder.clone().column(format!("f{place}_{}_n", axis.letter()));
+                let place = folder.clone().column(force_column_name(*force));
                 return Err(FitError::ConstantForce { place });
             }
         }

@@ -13,7 +13,7 @@ use crate::fit::rows::{ForcePair, own_forces, pair};
 use crate::input::MAX_POLYNOMIAL_TERMS;
 use crate::model_file::digits;
 use crate::physics::SensorOrientation;
-use crate::recordings::columns::{Axis, ForceColumn, force_column};
+use crate::recordings::columns::{Axis, ForceColumn, force_column, force_column_name};
 
 /// Model of one sensor.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -171,11 +171,7 @@ impl SensorModel {
             assumed_zero: Vec::new(),
             polynomial: Some(PolynomialTable {
                 degree: model.degree,
-                forces: model
-                    .forces
-                    .iter()
-                    .map(|(sensor, axis)| format!("f{sensor}_{}_n", axis.letter()))
-                    .collect(),
+                forces: model.forces.iter().map(|force| force_column_name(*force)).collect(),
                 spans_n: model.spans_n.clone(),
                 terms: Polynomial::terms(model.forces.len(), model.degree),
                 coefficients_g: rows(&model.coefficients_g),

@@ -217,6 +217,11 @@ pub fn hall_column(name: &str, declared: &[String]) -> Result<HallColumn, ErrorK
     ))
 }
 
+/// Column name of the force on a sensor along an axis.
+pub fn force_column_name((sensor, axis): (u32, Axis)) -> String {
+    format!("f{sensor}_{}_n", axis.letter())
+}
+
 /// Parses a column name of `force.csv`.
 pub fn force_column(name: &str) -> Result<ForceColumn, ErrorKind> {
     if name == "t_us" {

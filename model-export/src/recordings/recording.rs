@@ -10,7 +10,9 @@ use sha2::{Digest, Sha256};
 
 use crate::input::{self, check_recording_values};
 use crate::recordings::align::Alignment;
-use crate::recordings::columns::{Axis, ChannelLayout, ForceColumn, HallColumn, SignalUnit};
+use crate::recordings::columns::{
+    Axis, ChannelLayout, ForceColumn, HallColumn, SignalUnit, force_column, force_column_name,
+};
 use crate::recordings::description::RecordingDescription;
 use crate::recordings::error::{DataError, ErrorKind, Location, Notice};
 use crate::recordings::noise_model::{NoiseEstimate, RowOrder};
@@ -266,6 +268,22 @@ impl Recording {
             None => !self.sensors.values().any(|sensor| varies(&sensor.temperature_c)),
         };
         self.noise.follows(covariate) || (!has_order && !is_constant())
+    }
+
+    /// A force by its column name.
+    pub fn force(&self, column: &str) -> Option<&ForceSeries> {
+        match force_column(column) {
+            Ok(ForceColumn::Force { sensor, axis }) => self.forces.get(&(sensor, axis)),
+            _ => None,
+        }
+    }
+
+    /// Column names of the forces, where they act on several sensors.
+    pub fn forces_on_several(&self) -> Vec<String> {
+        let mut sensors: Vec<u32> = self.forces.keys().map(|(sensor, _)| *sensor).collect();
+        sensors.dedup();
+        let names = self.forces.keys().map(|force| force_column_name(*force));
+        if sensors.len() > 1 { names.collect() } else { Vec::new() }
     }
 
     /// Time from the first to the last row in seconds.

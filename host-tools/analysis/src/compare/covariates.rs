@@ -2,7 +2,7 @@
 
 use model_export::effects::ExcitationSeries;
 use model_export::recordings::Recording;
-use model_export::recordings::columns::STATOR_CURRENTS;
+use model_export::recordings::columns::{Axis, ForceColumn, STATOR_CURRENTS, force_column};
 use std::borrow::Cow;
 use std::f64::consts::{PI, TAU};
 
@@ -85,7 +85,7 @@ pub fn standard_covariates() -> &'static [Covariate] {
     &STANDARD
 }
 
-/// The standard covariates, and those that the recording declares.
+/// The standard covariates, those that the recording declares, and the forces on other sensors.
 pub fn all_covariates(recording: &Recording) -> Vec<Covariate> {
     let is_standard = |name: &str| STANDARD.iter().any(|covariate| covariate.name == name);
     let declared = recording.covariates.keys().filter(|name| !is_standard(name));
@@ -95,7 +95,17 @@ pub fn all_covariates(recording: &Recording) -> Vec<Covariate> {
         unit: "",
         kind: CovariateKind::Quantity,
     });
-    STANDARD.iter().cloned().chain(own).collect()
+    let forces = recording.forces_on_several().into_iter().filter_map(|name| {
+        let Ok(ForceColumn::Force { sensor, axis }) = force_column(&name) else { return None };
+        let along = if axis == Axis::X { "lateral" } else { "longitudinal" };
+        Some(Covariate {
+            words: Cow::Owned(format!("{along} force on sensor {sensor}")),
+            name: Cow::Owned(name),
+            unit: "N",
+            kind: CovariateKind::Quantity,
+        })
+    });
+    STANDARD.iter().cloned().chain(own).chain(forces).collect()
 }
 
 /// Between the columns of a product.

@@ -9,7 +9,7 @@ use model_export::fit::recording_differences::{
 };
 use model_export::fit::score_test::{CandidateScore, ScoreTest};
 use model_export::model_file::ModelFile;
-use model_export::recordings::columns::Axis;
+use model_export::recordings::columns::{Axis, force_column_name};
 use model_export::recordings::csv_table::table_path;
 use model_export::recordings::{Campaign, Location, Recording};
 use nalgebra::Vector3;
@@ -19,7 +19,6 @@ use crate::compare::AT_FLOOR;
 use crate::data_quality::Finding;
 use crate::data_quality::evidence::{Evidence, RecordingOffset};
 use crate::data_quality::fix::{Change, Fix, FixKind, Repair};
-use crate::data_quality::model_checks::force_name;
 use crate::diagnose::candidates::candidates;
 use crate::diagnose::selection::FittedModel;
 use crate::replay::corrections::RecordingOffsets;
@@ -216,7 +215,7 @@ fn finding(
         .filter_map(|one| {
             let folder = &campaign.recordings[one.recording].folder;
             let change = Change::Convert {
-                column: force_name((one.sensor, one.axis)),
+                column: force_column_name((one.sensor, one.axis)),
                 factor: 1.0,
                 offset: -one.value,
             };
@@ -244,7 +243,7 @@ fn finding(
 fn quantity(cause: DifferenceCause, sensor: u32, axis: Axis) -> String {
     let letter = axis.letter();
     match cause {
-        DifferenceCause::ReferenceZero => force_name((sensor, axis)),
+        DifferenceCause::ReferenceZero => force_column_name((sensor, axis)),
         DifferenceCause::FieldZero => format!("B{letter} of sensor {sensor}"),
         DifferenceCause::MagnetPlace => format!("the magnet of sensor {sensor} along {letter}"),
     }

@@ -15,6 +15,7 @@ use crate::inverse::compensation::effect_tables::RATE_FILTER_MS;
 use crate::inverse::compensation::{Converter, NotCompensable};
 use crate::inverse::grbf::nearest_forces;
 use crate::inverse::static_model::ForceRegion;
+use crate::recordings::columns::force_column;
 
 /// Maximum number of values of a table, and of cells along a side.
 const MAX_VALUES: usize = 1089;
@@ -151,6 +152,11 @@ pub(super) fn unsupported(formula: &Expression) -> Option<String> {
             "roll_rad" | "pitch_rad" | "yaw_rad" => {
                 return Some(format!(
                     "its tables are not over angles of the attitude such as {column}; use accel_x_mps2, accel_y_mps2 or accel_z_mps2, which contain gravity"
+                ));
+            }
+            force if force_column(force).is_ok() => {
+                return Some(format!(
+                    "the tables of a sensor are not over the force on another, {column}"
                 ));
             }
             _ if board_column(column, ForceRegion::symmetric(1.0)).is_none() => {

@@ -8,7 +8,8 @@ use crate::data_quality::checks::Found;
 use crate::data_quality::evidence::{ColumnError, Evidence, RecordingSet};
 use crate::data_quality::fix::{Change, Fix, FixKind, Repair};
 use crate::data_quality::model_checks::hypothesis::{self, Hypothesis, Verdict, own_forces};
-use crate::data_quality::model_checks::{ModelResiduals, Names, force_name};
+use crate::data_quality::model_checks::{ModelResiduals, Names};
+use model_export::recordings::columns::force_column_name;
 
 /// Column errors of a hypothesis for one sensor in one recording.
 #[derive(Default)]
@@ -104,8 +105,9 @@ fn errors_of(names: &Names, verdict: &Verdict, hypothesis: &Hypothesis) -> Colum
         }
         Hypothesis::Forces(sources) => {
             let axes = own_forces(verdict.sensor).into_iter().zip(sources);
-            let axes =
-                axes.map(|(own, (source, sign))| (force_name(own), force_name(*source), *sign));
+            let axes = axes.map(|(own, (source, sign))| {
+                (force_column_name(own), force_column_name(*source), *sign)
+            });
             exchanged(names.force(verdict.recording), axes)
         }
         Hypothesis::FieldUnit(factor) => field_unit(names, verdict, *factor),
@@ -160,7 +162,7 @@ fn force_unit(names: &Names, verdict: &Verdict, factors: [f64; 2]) -> ColumnErro
         if factor == 1.0 {
             continue;
         }
-        let column = force_name((verdict.sensor, axis));
+        let column = force_column_name((verdict.sensor, axis));
         let error = match hypothesis::force_unit(factor) {
             Some((name, exact)) => {
                 let file = names.force(verdict.recording);

@@ -246,8 +246,3 @@ impl Names {
         header.find(|name| name.starts_with(&prefix)).cloned().unwrap_or(prefix)
     }
 }
-
-/// Column name of a force.
-pub fn force_name((place, axis): (u32, Axis)) -> String {
-    format!("f{place}_{}_n", axis.letter())
-}

@@ -3,6 +3,7 @@
 
 use model_export::effects::expression::ParameterRange;
 use model_export::effects::{ExcitationSeries, Expression};
+use model_export::recordings::columns::{Axis, ForceColumn, force_column};
 use model_export::recordings::units::round_significant;
 
 use crate::diagnose::formulas::harmonics::{TURN, USUAL};
@@ -193,6 +194,10 @@ pub fn atoms_of(covariate: &str, span: Span, harmonics: &[u32], longest_s: f64) 
         return atoms;
     }
     let atom = |text: &str, complexity: f64| Atom::new(covariate, text, complexity);
+    if force_of_another(covariate).is_some() {
+        // What it bends or displaces here is small, and so in proportion.
+        return vec![atom("x", 1.0)];
+    }
     if TIMES.contains(&covariate) {
         // Drift and relaxation only: any other function of time imitates what nobody recorded.
         let relaxations = [0.3, 0.8, 2.0, 5.0, 12.0];
@@ -272,6 +277,14 @@ pub fn atoms_of(covariate: &str, span: Span, harmonics: &[u32], longest_s: f64) 
         atoms.extend(periodic_atoms(covariate, span));
     }
     atoms
+}
+
+/// Axis of a covariate that is the force on a certain sensor, and so acts on the others.
+pub fn force_of_another(covariate: &str) -> Option<Axis> {
+    match force_column(covariate) {
+        Ok(ForceColumn::Force { axis, .. }) => Some(axis),
+        _ => None,
+    }
 }
 
 /// First, second and third power of a covariate.

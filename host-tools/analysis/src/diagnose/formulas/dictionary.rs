@@ -6,12 +6,13 @@ use std::sync::Arc;
 use model_export::effects::ExcitationSeries;
 use model_export::effects::excitation::BUILT_IN_COVARIATES;
 use model_export::fit::campaign::FitSetup;
+use model_export::recordings::columns::Axis;
 use model_export::stop;
 use nalgebra::DMatrix;
 use rayon::prelude::*;
 
-use crate::diagnose::formulas::atoms::{Atom, Span, atoms_of};
-use crate::diagnose::formulas::candidate::Candidate;
+use crate::diagnose::formulas::atoms::{Atom, Span, atoms_of, force_of_another};
+use crate::diagnose::formulas::candidate::{COEFFICIENTS, Candidate};
 use crate::diagnose::formulas::chain_points::ChainPoint;
 use crate::diagnose::formulas::rows::{Windows, averaged, excitations};
 
@@ -28,6 +29,8 @@ pub struct Dictionary {
     terms: Vec<Vec<usize>>,
     /// Term with the other phase.
     partners: Vec<Option<usize>>,
+    /// Forces of one axis on all sensors, which act on the other ones together.
+    of_others: Vec<Vec<usize>>,
     /// A row for each term and a column for each averaged row, of each sensor.
     values: Vec<DMatrix<f64>>,
 }
@@ -106,6 +109,17 @@ impl Dictionary {
             terms.iter().enumerate().map(|(i, term)| (text(&atoms, term), i)).collect();
         let partners = terms.iter().map(|term| index.get(&partner_text(&atoms, term)?).copied());
         let partners = partners.collect();
+        let of_axis = |axis: Axis| -> Vec<usize> {
+            let is_own = |term: &&[usize]| match term {
+                [one] => force_of_another(&atoms[*one].covariate) == Some(axis),
+                _ => false,
+            };
+            let all = terms.iter().map(Vec::as_slice).enumerate();
+            all.filter(|(_, term)| is_own(term)).map(|(place, _)| place).collect()
+        };
+        let of_others = [Axis::X, Axis::Z].map(of_axis).into_iter();
+        let of_others = of_others.filter(|all| (2..=COEFFICIENTS.len()).contains(&all.len()));
+        let of_others = of_others.collect();
         let lengths: Vec<Vec<usize>> = sensors
             .clone()
             .map(|sensor| excitations(setup, sensor).map(ExcitationSeries::len).collect())
@@ -150,7 +164,7 @@ impl Dictionary {
                 values
             })
             .collect();
-        Self { atoms, terms, partners, values }
+        Self { atoms, terms, partners, of_others, values }
     }
 
     /// Values of the terms at each sensor.
@@ -189,6 +203,11 @@ impl Dictionary {
                 if let Some(partner) = self.partners[term].filter(|partner| *partner > term) {
                     all.push((own + gain(partner), vec![term, partner], set));
                 }
+            }
+            for together in &self.of_others {
+                let gain =
+                    together.iter().flat_map(|term| set.iter().map(|point| sum[(*term, *point)]));
+                all.push((gain.sum(), together.clone(), set));
             }
         }
         all.sort_by(|a, b| b.0.total_cmp(&a.0));

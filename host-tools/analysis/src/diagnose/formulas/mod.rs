@@ -33,7 +33,9 @@ use model_export::model_file::EffectModel;
 use model_export::recordings::Campaign;
 use model_export::recordings::columns::STATOR_CURRENTS;
 use model_export::stop;
+use nalgebra::{Matrix2, Vector2};
 use rayon::prelude::*;
+use std::collections::BTreeSet;
 
 use crate::diagnose::candidates::varying_covariates;
 use crate::diagnose::forward_selection::screen_last;
@@ -326,6 +328,36 @@ enum Attempt {
     Rejected,
 }
 
+/// Share of the square of another sensor's force that the forces on the own one may explain in a linear regression; with more, its
+/// effect is that of an own force.
+const MAX_SHARED: f64 = 0.9;
+
+/// Forces that act on one sensor, where they differ from those on the others.
+fn independent_forces_of_others(setup: &FitSetup) -> Vec<String> {
+    let tracks = || setup.rows.iter().map(|rows| rows.parts.iter().map(|part| &part.track));
+    let names = tracks().flatten().flat_map(|track| track.forces_of_others.keys());
+    let names: BTreeSet<&String> = names.collect();
+    let is_independent = |name: &&String| {
+        tracks().any(|parts| {
+            let (mut normal, mut moments, mut square) = (Matrix2::zeros(), Vector2::zeros(), 0.0);
+            for track in parts {
+                let Some(values) = track.forces_of_others.get(*name) else { return false };
+                for (own, value) in track.force_n.iter().zip(values) {
+                    let own = Vector2::from(*own);
+                    normal += own * own.transpose();
+                    moments += own * *value;
+                    square += value * value;
+                }
+            }
+            let explained = normal
+                .pseudo_inverse(f64::EPSILON * normal.trace())
+                .map_or(square, |inverse| moments.dot(&(inverse * moments)));
+            explained < MAX_SHARED * square
+        })
+    };
+    names.into_iter().filter(is_independent).cloned().collect()
+}
+
 /// Search on one campaign.
 pub struct FormulaSearch<'a> {
     setup: &'a FitSetup,
@@ -349,6 +381,7 @@ impl<'a> FormulaSearch<'a> {
         let covariates: Vec<String> = varying_covariates(campaign, axes)
             .into_iter()
             .filter(|name| !STATOR_CURRENTS.contains(&name.as_str()))
+            .chain(independent_forces_of_others(setup))
             .collect();
         let windows = rows::windows(setup);
         let harmonics = match covariates.iter().any(|name| name == TURN) {
