@@ -1,6 +1,6 @@
 //! Creep: delayed deflection under constant load, with recovery.
 
-use crate::effects::operators::low_pass;
+use crate::effects::operators::low_pass_with_rates;
 use crate::effects::{
     CreepParts, DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, ForceForm,
     MagnitudeSpec, Signature, SimulatedMagnitude, Simulation, StateSeries,
@@ -64,9 +64,10 @@ fn apply(values: &[f64], excitation: &ExcitationSeries, series: &mut StateSeries
         if parts.iter().all(|(percent, _)| *percent == 0.0) {
             continue;
         }
-        let force: Vec<f64> = excitation.smooth_n.iter().map(|force| force[axis]).collect();
+        let column = |of: &[[f64; 2]]| -> Vec<f64> { of.iter().map(|pair| pair[axis]).collect() };
+        let (force, rates) = (column(&excitation.smooth_n), column(&excitation.rate_n_per_s));
         for (percent, time_s) in parts {
-            let delayed = low_pass(&excitation.time_s, &force, time_s);
+            let delayed = low_pass_with_rates(&excitation.time_s, &force, &rates, time_s);
             series.add_force(axis, |row| 0.01 * percent * delayed[row]);
         }
     }
@@ -94,6 +95,7 @@ mod tests {
             time_s.iter().map(|t| [if *t > 1.0 { 100.0 } else { 0.0 }; 2]).collect();
         ExcitationSeries {
             smooth_n: force_n.clone(),
+            rate_n_per_s: vec![[0.0; 2]; force_n.len()],
             force_n,
             time_s,
             ..ExcitationSeries::default()
