@@ -1,8 +1,10 @@
 //! Drifts of other quantities that explain the same as an effect of time: a magnet that loses strength, a gap that swells and a
 //! flexure that softens may leave the same field, and no covariate distinguishes them.
 
-use model_export::effects::{EffectTerm, ParameterScope, Signature};
+use model_export::effects::{EffectTerm, ParameterKind, ParameterScope, Signature};
 use model_export::fit::campaign::FitSetup;
+use model_export::fit::effect_size::first_parameter;
+use model_export::fit::joint::SensorFit;
 use model_export::fit::rows::RecordingRows;
 
 use crate::diagnose::formulas::candidate::columns_at;
@@ -11,8 +13,8 @@ use crate::diagnose::formulas::rows::{SensorRows, Windows, averaged, of_model, w
 use crate::diagnose::formulas::scan::{Columns, Scan};
 use crate::diagnose::selection::{DISTINGUISHABLE, FittedModel};
 
-/// Quantities of which a value for each recording and a rate explain as much as `effect` does in `model`, by the target of a formula;
-/// none for an effect that does not have both. Blocks of time have at least `block_s` seconds.
+/// Quantities of which a value for each recording, a rate, and a step at each instant of `effect` explain as much as `effect` does in
+/// `model`, by the target of a formula; none for an effect without these. Blocks of time have at least `block_s` seconds.
 pub fn equivalent_drifts(
     setup: &FitSetup,
     model: &FittedModel,
@@ -34,9 +36,18 @@ pub fn equivalent_drifts(
         Scan::new(of_model(setup, model, without, &points, &windows, block_s))
     };
     let own = scan(&[]).score(&[]).fitted;
+    let recordings = setup.recordings();
+    let parameters = effect.parameters(recordings);
+    let is_instant = |place: &usize| parameters[*place].kind == ParameterKind::Instant;
+    // All sensors have the same instant.
+    let of_first = |sensor: &SensorFit| -> Vec<f64> {
+        let first = first_parameter(sensor.base_count, &model.effects, effect, recordings);
+        (0..parameters.len()).filter(is_instant).map(|place| sensor.values[first + place]).collect()
+    };
+    let instants = model.fit.sensors.first().map_or_else(Vec::new, of_first);
     let without = scan(std::slice::from_ref(effect));
     let terms: Vec<Vec<Vec<f64>>> = (0..without.rows.len())
-        .map(|sensor| terms(&setup.rows[sensor].parts, &windows[sensor]))
+        .map(|sensor| terms(&setup.rows[sensor].parts, &windows[sensor], &instants))
         .collect();
     let is_equal = |point: &&ChainPoint| {
         let of_sensor = |(rows, terms): (&SensorRows, &Vec<Vec<f64>>)| {
@@ -48,8 +59,9 @@ pub fn equivalent_drifts(
     points.iter().filter(is_equal).map(|point| point.target().0).collect()
 }
 
-/// A constant in each recording but the first, and the time in each recording, over the averaged rows.
-fn terms(parts: &[RecordingRows], windows: &[Windows]) -> Vec<Vec<f64>> {
+/// A constant in each recording but the first, the time in each recording, and a step after each of these instants in its recording,
+/// over the averaged rows.
+fn terms(parts: &[RecordingRows], windows: &[Windows], instants: &[f64]) -> Vec<Vec<f64>> {
     let over_rows = |value: &dyn Fn(usize, f64) -> f64| -> Vec<f64> {
         let of_part = |(place, (part, windows)): (usize, (&RecordingRows, &Windows))| {
             let values: Vec<f64> =
@@ -58,7 +70,14 @@ fn terms(parts: &[RecordingRows], windows: &[Windows]) -> Vec<Vec<f64>> {
         };
         parts.iter().zip(windows).enumerate().flat_map(of_part).collect()
     };
-    let steps = (1..parts.len())
-        .map(|recording| over_rows(&|place, _| if place == recording { 1.0 } else { 0.0 }));
-    steps.chain([over_rows(&|_, time_s| time_s)]).collect()
+    let is_in = |place: usize, recording: usize| if place == recording { 1.0 } else { 0.0 };
+    let steps = (1..parts.len()).map(|recording| over_rows(&|place, _| is_in(place, recording)));
+    let after = instants.iter().filter_map(|instant_s| {
+        let begins = |part: &RecordingRows| part.track.before_s <= *instant_s;
+        let recording = parts.iter().rposition(begins)?;
+        let own_s = instant_s - parts[recording].track.before_s;
+        let after = |place, time_s| is_in(place, recording) * f64::from(u8::from(time_s > own_s));
+        Some(over_rows(&after))
+    });
+    steps.chain([over_rows(&|_, time_s| time_s)]).chain(after).collect()
 }
