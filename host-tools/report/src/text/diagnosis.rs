@@ -267,9 +267,13 @@ fn accepted_effects(diagnosis: &Diagnosis) -> String {
     for verdict in diagnosis.verdicts.iter().filter(|v| is_present(v)) {
         page += &styled(HEADING, &heading(verdict));
         page += &paragraph(&format!("  {}", physics(verdict)));
-        let similar = [similar_effects(verdict), beyond_polynomial(diagnosis, verdict)].join(" ");
-        let evidence = format!("  {} {}", reason_sentence(verdict), similar.trim());
-        page += &paragraph(evidence.trim_end());
+        let evidence = [
+            reason_sentence(verdict),
+            similar_effects(verdict),
+            beyond_polynomial(diagnosis, verdict),
+        ];
+        let said: Vec<String> = evidence.into_iter().filter(|said| !said.is_empty()).collect();
+        page += &paragraph(&format!("  {}", said.join(" ")));
         page += &device_line(&runs_on_device(diagnosis, &[&verdict.effect]));
         page.push('\n');
     }
@@ -296,8 +300,19 @@ pub fn runs_on_device(diagnosis: &Diagnosis, effects: &[&str]) -> String {
 /// Minimum share of a pattern that is mentioned.
 const MIN_SIMILAR: f64 = 0.5;
 
-/// "On these recordings it reproduces the patterns of clock_skew (92 %), creep (54 %)."; empty where no other effect is similar.
+/// "On these recordings it reproduces the patterns of clock_skew (92 %), creep (54 %)." and "A reference that is not linear leaves the
+/// same."; empty where neither is known.
 pub fn similar_effects(verdict: &Verdict) -> String {
+    let mut said = similar_in_catalogue(verdict);
+    let outside = find(&verdict.effect).map_or("", |effect| effect.same_outside);
+    if !outside.is_empty() {
+        let space = if said.is_empty() { "" } else { " " };
+        said += &format!("{space}Outside the catalogue, {outside} leaves the same.");
+    }
+    said
+}
+
+fn similar_in_catalogue(verdict: &Verdict) -> String {
     let similar = verdict.reproduces.iter().filter(|(_, share)| *share >= MIN_SIMILAR);
     let parts: Vec<String> =
         similar.map(|(effect, share)| format!("{effect} ({:.0} %)", 100.0 * share)).collect();

@@ -82,10 +82,13 @@ pub fn describe(effect: &Effect) -> String {
         [] => "field and force".to_owned(),
         needs => needs.join(", "),
     };
+    let outside = Some(effect.same_outside).filter(|outside| !outside.is_empty());
     let confused: String = effect
         .confused_with
         .iter()
-        .map(|(id, when)| terminal::paragraph(&format!("  {id}: {when}")))
+        .map(|(id, when)| format!("  {id}: {when}"))
+        .chain(outside.map(|outside| format!("  {outside}, which is no effect of the catalogue")))
+        .map(|line| terminal::paragraph(&line))
         .collect();
     format!(
         "{}\n\n{}\n  {}\n\nRegressors: {}.\nRequires: {needs}.\n\n{parameters}\nMagnitude: {}, typically {} {unit}, plausibly {} to {} {unit}.\n\n\
@@ -117,6 +120,6 @@ pub fn to_json(effect: &Effect) -> Value {
         "needs": effect.needs, "parameters": effect.parameters.iter().map(parameter).collect::<Vec<_>>(),
         "size": { "means": effect.size.description, "unit": effect.size.unit, "typical": effect.size.typical, "plausible": effect.size.plausible },
         "record": effect.record, "confused_with": effect.confused_with.iter().map(|(id, _)| id).collect::<Vec<_>>(),
-        "undone": compensation(effect),
+        "same_outside": effect.same_outside, "undone": compensation(effect),
     })
 }
