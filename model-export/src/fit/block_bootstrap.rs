@@ -128,11 +128,12 @@ pub fn score_covariance(blocks: &[Block]) -> DMatrix<f64> {
 /// Draws whose normal equations are held at once.
 const DRAWS_AT_ONCE: usize = 32;
 
-/// Bootstrap covariance of the solution from blocks of the same parameters; zero where it cannot be solved.
+/// Bootstrap covariance of the solution from blocks of the same parameters; zero where it cannot be solved. `known` is the information
+/// on each parameter besides the blocks: a draw without the blocks of an event does not determine it.
 ///
 /// The normal equations of a draw are the sum of those of the blocks, each as often as it was drawn: over all draws, a product of
 /// two matrices.
-pub fn bootstrap_covariance(blocks: &[Block], draws: usize, seed: u64) -> DMatrix<f64> {
+pub fn bootstrap_covariance(blocks: &[Block], known: f64, draws: usize, seed: u64) -> DMatrix<f64> {
     let size = blocks.first().map_or(0, |block| block.score.len());
     let of_blocks = |value: &dyn Fn(&Block) -> f64| blocks.iter().map(value).collect::<Vec<f64>>();
     let triangle: Vec<(usize, usize)> =
@@ -155,10 +156,12 @@ pub fn bootstrap_covariance(blocks: &[Block], draws: usize, seed: u64) -> DMatri
             (first..draws.min(first + DRAWS_AT_ONCE)).map(|_| draw()).collect();
         let times: Vec<&[f64]> = times.iter().map(Vec::as_slice).collect();
         for sums in products(&entries, &times).column_iter() {
-            let mut normal = DMatrix::zeros(size, size);
+            let mut normal = DMatrix::from_diagonal_element(size, size, known);
             for ((row, column), sum) in triangle.iter().zip(sums.iter()) {
-                normal[(*row, *column)] = *sum;
-                normal[(*column, *row)] = *sum;
+                normal[(*row, *column)] += *sum;
+                if row != column {
+                    normal[(*column, *row)] += *sum;
+                }
             }
             let score = DVector::from_iterator(size, sums.iter().skip(triangle.len()).copied());
             if let Some(factor) = Cholesky::new(normal) {
@@ -214,7 +217,7 @@ mod tests {
                 squares: 0.0,
             })
             .collect();
-        let error = bootstrap_covariance(&blocks, 400, 1)[(0, 0)].sqrt();
+        let error = bootstrap_covariance(&blocks, 0.0, 400, 1)[(0, 0)].sqrt();
         // 1 / (1 - a) / sqrt(n) = 0.0707; without autocorrelation it would be 0.016.
         assert!((0.055..0.087).contains(&error), "{error}");
     }

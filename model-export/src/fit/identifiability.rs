@@ -8,6 +8,9 @@ use crate::fit::parameters::FreeParameter;
 
 /// A direction is free if its standard error is at most this, in prior widths.
 pub const MAX_UNCERTAINTY: f64 = 0.5;
+/// Share of the prior's information that a draw of blocks has. The free directions have at least four times the prior's, of which all of it
+/// would hide a fifth of their errors.
+const PRIOR: f64 = 0.1;
 
 /// A combination of parameters that the data do not determine, fixed at its start.
 #[derive(Clone, Debug, PartialEq)]
@@ -154,7 +157,8 @@ impl FreeDirections {
                 }
             })
             .collect();
-        let free = block_bootstrap::bootstrap_covariance(&reduced, options.draws, options.seed);
+        let free =
+            block_bootstrap::bootstrap_covariance(&reduced, PRIOR, options.draws, options.seed);
         let free = &self.free * free * self.free.transpose();
         let unidentifiable = self.unidentifiable_directions.iter();
         unidentifiable.fold(free, |sum, direction| sum + direction * direction.transpose())

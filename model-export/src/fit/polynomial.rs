@@ -443,7 +443,8 @@ fn error_bars(rows: &SensorRows, model: &Polynomial, options: FitOptions) -> (DM
                 list.push(block);
             }
         }
-        let covariance = block_bootstrap::bootstrap_covariance(&list, options.draws, options.seed);
+        let covariance =
+            block_bootstrap::bootstrap_covariance(&list, 0.0, options.draws, options.seed);
         bars.set_column(axis, &covariance.diagonal().map(|v| v.max(0.0).sqrt()));
     }
     (bars, length_s)
