@@ -478,6 +478,11 @@ impl FittedModel {
         })
     }
 
+    /// Number of parameters at one sensor.
+    pub fn parameters(&self) -> usize {
+        self.fit.sensors.first().map_or(0, |sensor| sensor.parameters.len())
+    }
+
     /// Whether every effect has a physically possible magnitude.
     pub fn is_possible(&self, recordings: usize) -> bool {
         effect_sizes(&self.fit, &self.effects, recordings).iter().zip(&self.effects).all(

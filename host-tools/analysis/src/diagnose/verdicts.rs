@@ -96,7 +96,7 @@ fn stairs(selection: &Selection, formulas: &[DiscoveredFormula]) -> Vec<Staircas
     let added = added.chain(formulas.iter().map(|formula| vec![formula.name.clone()]));
     let stair = |(stage, added): (&FittedModel, Vec<String>)| StaircaseStep {
         added,
-        parameters: stage.fit.sensors.first().map_or(0, |sensor| sensor.parameters.len()),
+        parameters: stage.parameters(),
         held_out_rms_g: stage.mean_square().sqrt(),
         force: None,
         floor_g: stage.fit.tally().floor_g(),

@@ -68,6 +68,14 @@ const MIN_GAIN: f64 = 0.004;
 const MAX_P: f64 = 0.01;
 /// A formula that reduces the squared error by less is dropped at the end.
 pub const MIN_KEPT: f64 = 0.01;
+/// Whether a model explains most of what another leaves above the noise.
+fn explain_most(model: &FittedModel, other: &FittedModel) -> bool {
+    let excess = |model: &FittedModel| {
+        (model.mean_square() - model.fit.tally().floor_g().powi(2)).max(0.0)
+    };
+    excess(model) <= (1.0 - MIN_EXPLAINED) * excess(other)
+}
+
 /// Minimum fraction of the excess over the noise that all formulas explain together. Noise that wanders as slowly as a covariate
 /// is correlated with it without a cause, and signs of blocks do not show that.
 const MIN_EXPLAINED: f64 = 0.5;
@@ -171,21 +179,22 @@ pub fn discover(
     };
     let (steps, found) = match (alone, joined) {
         (None, None) => return Ok((Vec::new(), from_first)),
-        (Some(alone), None) => {
-            if last.mean_square() < alone.mean_square() {
-                return Ok((Vec::new(), from_first));
-            }
-            (0, alone)
-        }
         (None, Some(joined)) => (selection.steps.len(), joined),
-        (Some(alone), Some(joined)) => {
-            let count = selection.steps.len();
-            let is_simpler = alone.formulas.len() < count + joined.formulas.len();
-            let limit = if is_simpler { 1.0 + NEAR } else { 1.0 - NEAR };
-            if alone.mean_square() < limit * joined.mean_square() {
-                (0, alone)
-            } else {
-                (count, joined)
+        (Some(alone), joined) => {
+            let with_effects = joined.as_ref().and_then(|joined| joined.stages.last());
+            let with_effects = with_effects.unwrap_or(last);
+            let of_alone = alone.stages.last().map_or(usize::MAX, FittedModel::parameters);
+            let is_simpler = of_alone < with_effects.parameters();
+            // With more parameters they must explain what the effects leave, as formulas next to them must.
+            let is_better = match (is_simpler, alone.stages.last()) {
+                (true, _) => alone.mean_square() < (1.0 + NEAR) * with_effects.mean_square(),
+                (false, Some(of_alone)) => explain_most(of_alone, with_effects),
+                (false, None) => false,
+            };
+            match joined {
+                _ if is_better => (0, alone),
+                Some(joined) => (selection.steps.len(), joined),
+                None => return Ok((Vec::new(), from_first)),
             }
         }
     };
@@ -425,10 +434,7 @@ impl<'a> FormulaSearch<'a> {
             accepted.push(new);
             (model, free) = (*next, *next_free);
         }
-        let excess = |model: &FittedModel| {
-            (model.mean_square() - model.fit.tally().floor_g().powi(2)).max(0.0)
-        };
-        if accepted.is_empty() || excess(&model) > (1.0 - MIN_EXPLAINED) * excess(start) {
+        if accepted.is_empty() || !explain_most(&model, start) {
             return Ok(None);
         }
         // Where structure remains, the formulas are approximations, and so are their points of the chain.
