@@ -253,7 +253,7 @@ impl ScreenedEffect {
 }
 
 /// Minimum share of an effect's pattern that one which can replace it reproduces.
-const REPLACES: f64 = 0.8;
+pub const REPLACES: f64 = 0.8;
 
 /// Screens the candidates; sorted by gain.
 pub fn screen(around: &ScoreTest, candidates: &[EffectTerm], seed: u64) -> Vec<ScreenedEffect> {

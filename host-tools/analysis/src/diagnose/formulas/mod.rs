@@ -37,10 +37,10 @@ use nalgebra::{Matrix2, Vector2};
 use rayon::prelude::*;
 use std::collections::BTreeSet;
 
-use crate::diagnose::candidates::varying_covariates;
+use crate::diagnose::candidates::{REPLACES, ScreenedEffect, screen, varying_covariates};
 use crate::diagnose::forward_selection::screen_last;
 use crate::diagnose::observer::Observer;
-use crate::diagnose::selection::{DropReason, DroppedStep, FittedModel, Selection};
+use crate::diagnose::selection::{AcceptedStep, DropReason, DroppedStep, FittedModel, Selection};
 use candidate::{COEFFICIENTS, Candidate, columns_at};
 use chain_points::ChainPoint;
 use dictionary::{Dictionary, RankedCandidate};
@@ -70,9 +70,8 @@ const MAX_P: f64 = 0.01;
 pub const MIN_KEPT: f64 = 0.01;
 /// Whether a model explains most of what another leaves above the noise.
 fn explain_most(model: &FittedModel, other: &FittedModel) -> bool {
-    let excess = |model: &FittedModel| {
-        (model.mean_square() - model.fit.tally().floor_g().powi(2)).max(0.0)
-    };
+    let excess =
+        |model: &FittedModel| (model.mean_square() - model.fit.tally().floor_g().powi(2)).max(0.0);
     excess(model) <= (1.0 - MIN_EXPLAINED) * excess(other)
 }
 
@@ -205,6 +204,7 @@ pub fn discover(
     selection.stages.extend(found.stages);
     let mut formulas = found.formulas;
     remove_needless(setup, selection, &mut formulas, options)?;
+    name_formulas(setup, candidates, selection, &mut formulas, options)?;
     observer.stage("screening candidates", FINAL);
     screen_last(campaign, setup, candidates, selection, options);
     Ok((formulas, from_first))
@@ -267,6 +267,72 @@ pub fn equivalent_formulas(
     let recordings = campaign.recordings.len();
     found.formulas.iter_mut().for_each(|formula| formula.set_models(&model, recordings));
     Ok(found.formulas)
+}
+
+/// Replaces formulas by effects of the catalogue that do the same and explain as much: next to another cause an effect may not have
+/// lowered the error. Where structure remains, the formulas are approximations, and so would be the effects.
+fn name_formulas(
+    setup: &FitSetup,
+    candidates: &[EffectTerm],
+    selection: &mut Selection,
+    formulas: &mut Vec<DiscoveredFormula>,
+    options: FitOptions,
+) -> Result<()> {
+    let recordings = setup.recordings();
+    for place in (0..formulas.len()).rev() {
+        let last = selection.stages.last().filter(|last| last.is_at_floor());
+        let Some(last) = last.cloned() else { return Ok(()) };
+        let own = &formulas[place].effects;
+        let others: Vec<EffectTerm> =
+            last.effects.iter().filter(|effect| !own.contains(effect)).cloned().collect();
+        let without = FittedModel::without_validation(setup, others.clone(), options)?;
+        let test = ScoreTest::new(setup, &others, &without.fit, selection.block_s);
+        let patterns: Vec<CandidateScore> =
+            own.iter().filter_map(|effect| test.score(effect)).collect();
+        let is_open = |effect: &&EffectTerm| {
+            effect.effect().is_some() && !effect.is_transient() && !others.contains(effect)
+        };
+        let open: Vec<EffectTerm> = candidates.iter().filter(is_open).cloned().collect();
+        let does_the_same = |screened: &&ScreenedEffect| {
+            let mut shares = patterns.iter().map(|one| screened.evidence.reproduced_share(one));
+            shares.all(|share| share >= REPLACES)
+        };
+        let with = |effect: &EffectTerm| [&others[..], std::slice::from_ref(effect)].concat();
+        let named = |screened: &ScreenedEffect| {
+            let effects = with(&screened.candidate);
+            let model = FittedModel::new(setup, effects, last.fit.split, options).ok()?;
+            let is_named = model.mean_square() <= (1.0 + NEAR) * last.mean_square()
+                && model.is_possible(recordings)
+                && model.is_plausible(&screened.candidate, recordings);
+            is_named.then_some(model)
+        };
+        let screened = screen(&test, &open, options.seed);
+        let alike: Vec<&ScreenedEffect> = screened.iter().filter(does_the_same).collect();
+        let fits = alike.into_par_iter().filter_map(|screened| Some((screened, named(screened)?)));
+        let mut fits: Vec<(&ScreenedEffect, FittedModel)> = fits.collect();
+        fits.sort_by(|a, b| a.1.mean_square().total_cmp(&b.1.mean_square()));
+        let Some((screened, model)) = fits.first() else { continue };
+        let before = without.with_split(setup, last.fit.split, options);
+        let equivalent =
+            fits[1..].iter().filter(|other| !model.is_distinguishably_better(&other.1));
+        selection.steps.push(AcceptedStep {
+            tied: equivalent.map(|(other, _)| other.candidate.clone()).collect(),
+            ..AcceptedStep::new(screened, model, &before)
+        });
+        formulas.remove(place);
+        // The steps in their order, then the formulas.
+        let steps = selection.steps.len();
+        selection.stages.truncate(steps);
+        let Some(start) = selection.stages.last() else { return Ok(()) };
+        let mut effects = start.effects.clone();
+        effects.push(screened.candidate.clone());
+        for formula in std::iter::once(None).chain(formulas.iter().map(Some)) {
+            effects.extend(formula.iter().flat_map(|formula| formula.effects.iter().cloned()));
+            let stage = FittedModel::new(setup, effects.clone(), setup.split(&effects), options)?;
+            selection.stages.push(stage);
+        }
+    }
+    Ok(())
 }
 
 /// Removes the effects and formulas that the last model does not need: next to all others they remove nothing relevant.
