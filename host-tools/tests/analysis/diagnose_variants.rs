@@ -410,3 +410,32 @@ fn force_on_another_finger_is_found() {
     let compared = dir.json(&["compare", "model.toml", &campaign, "--json"]);
     assert_eq!(compared["where"][0]["covariate"], "f1_x_n", "{}", compared["where"]);
 }
+
+/// A field in proportion to the square of the current, of 6 floors, hides the mass of the fingertip: no effect lowers the error of every
+/// recording. Formulas of the acceleration explain what the mass does, by other quantities.
+#[test]
+fn effect_that_another_cause_hides_is_named() {
+    let dir = WorkDir::empty();
+    dir.stdout(
+        "simulate -o campaign --sensors 1 --seed 1 --seconds 20 --effect fingertip_mass=0.05",
+    );
+    for recording in 1..=3 {
+        let folder = dir.path("campaign").join(recording.to_string());
+        let mut cells = CsvTable::read(&folder.join("hall.csv.gz"));
+        let current_a = cells.numbers("motor_iq_a");
+        for (column, lsb_per_a2) in [("s0_x_lsb", 1.0), ("s0_y_lsb", -0.5)] {
+            let with = |row: usize, lsb: f64| lsb + lsb_per_a2 * current_a[row].powi(2);
+            cells.change(column, |row, lsb| with(row, lsb).round().to_string());
+        }
+        std::fs::remove_file(folder.join("hall.csv.gz")).unwrap();
+        cells.write(&folder, "hall.csv");
+    }
+    let diagnosis = diagnosed(&dir.path("campaign"));
+    assert_eq!(accepted(&diagnosis)[0], ["fingertip_mass"]);
+    assert_eq!(diagnosis["at_floor"], true);
+    let formulas = diagnosis["formulas"].as_array().unwrap();
+    assert_eq!(formulas.len(), 1, "{formulas:?}");
+    assert_eq!(formulas[0]["covariates"], serde_json::json!(["motor_iq_a"]));
+    let size = diagnosis["verdicts"][0]["value"].as_f64().unwrap();
+    assert!((size - 0.05).abs() < 0.003, "{size} kg");
+}
