@@ -1,13 +1,14 @@
 //! Current loop, 20 kHz: from samples to bridge commands, with the motor's state and its fast protections.
 
 use crate::math::{Direction, greater};
-use crate::motor::commissioning::{Commissioning, CommissioningInputs, CommissioningStep};
+use crate::motor::commissioning::{self, Commissioning, CommissioningInputs, CommissioningStep};
 use crate::motor::current_sense::{self, CurrentOffsets, OffsetMeasurement};
-use crate::motor::diagnostics::SensorMonitor;
+use crate::motor::diagnostics::{ElectricalSample, SensorMonitor};
 use crate::motor::encoder::AngleTracker;
 use crate::motor::foc::{self, AlphaBeta, CurrentController, Dq, VoltageOutput, Windings};
 use crate::motor::power_stage::{BridgeCommand, MotorSamples};
 use crate::motor::settings::{IdentifiedMotor, MotorLimits, Settings};
+use crate::motor::spin_test::{SpinStep, SpinTest};
 use crate::motor::state::{MotorState, Trip};
 use crate::motor::tick_exchange::{
     CurrentLoopAction, CurrentLoopCommand, CurrentLoopReport, StateChange,
@@ -32,6 +33,8 @@ pub struct CurrentLoop {
     offset_measurement: OffsetMeasurement,
     /// In progress, or to begin after the offset measurement.
     commissioning: Option<Commissioning>,
+    /// The second part of commissioning, in progress.
+    spin_test: Option<SpinTest>,
     identification: Option<IdentifiedMotor>,
     tracker: AngleTracker,
     currents: CurrentController,
@@ -64,6 +67,7 @@ impl CurrentLoop {
             offsets: CurrentOffsets::NOMINAL,
             offset_measurement: OffsetMeasurement::default(),
             commissioning: None,
+            spin_test: None,
             identification: None,
             tracker: AngleTracker::default(),
             currents: CurrentController::default(),
@@ -181,7 +185,7 @@ impl CurrentLoop {
 
     fn disarm(&mut self) {
         self.state = MotorState::Disarmed;
-        self.commissioning = None;
+        (self.commissioning, self.spin_test) = (None, None);
         self.reset_controllers();
     }
 
@@ -190,7 +194,7 @@ impl CurrentLoop {
         if !matches!(self.state, MotorState::Tripped(_)) {
             self.state = MotorState::Tripped(trip);
             self.is_stage_off = false;
-            self.commissioning = None;
+            (self.commissioning, self.spin_test) = (None, None);
             self.reset_controllers();
         }
         self.is_stage_off |= trip.drive() == BridgeCommand::Off;
@@ -215,8 +219,9 @@ impl CurrentLoop {
 
     /// Exchanges phases V and W where they are swapped; its own inverse. Commissioning measures the wiring anew.
     fn swapped(&self, [u, v, w]: [f32; 3]) -> [f32; 3] {
-        let is_commissioning = matches!(self.state, MotorState::Commissioning);
-        if self.settings.wiring.is_swapped && !is_commissioning { [u, w, v] } else { [u, v, w] }
+        let is_unknown =
+            matches!(self.state, MotorState::Commissioning) && self.spin_test.is_none();
+        if self.settings.wiring.is_swapped && !is_unknown { [u, w, v] } else { [u, v, w] }
     }
 
     /// Checks limits while the bridges may be on.
@@ -302,6 +307,33 @@ impl CurrentLoop {
 
     fn commission(&mut self, phases: [f32; 3], current: AlphaBeta) -> BridgeCommand {
         self.update_measured(current);
+        let max_a = commissioning::max_a(self.settings.limits.peak_a);
+        if let Some(spin_test) = &mut self.spin_test {
+            let machine = &self.settings.machine;
+            let speed = self.tracker.speed();
+            let sample = ElectricalSample {
+                measured: self.measured,
+                previous: self.previous,
+                setpoint: Dq::default(),
+                voltage: self.applied,
+                max_v: 0.0,
+                speed: speed * f32::from(machine.pole_pairs),
+            };
+            return match spin_test.tick(speed, &sample, machine) {
+                SpinStep::Drive(q) => self.follow(Dq { d: 0.0, q }, phases),
+                SpinStep::Ended(result) => {
+                    self.disarm();
+                    match result {
+                        Ok(identified) => {
+                            self.identification = Some(identified);
+                            self.apply_identification(&identified);
+                        }
+                        Err(error) => self.state = MotorState::CommissioningFailed(error),
+                    }
+                    BridgeCommand::Off
+                }
+            };
+        }
         let Some(commissioning) = &mut self.commissioning else {
             return self.trip(Trip::NotANumber);
         };
@@ -309,22 +341,26 @@ impl CurrentLoop {
             current,
             angle: self.tracker.angle(),
             max_v: foc::max_v(self.bus_v),
+            max_a,
         };
         match commissioning.tick(&inputs) {
-            CommissioningStep::Drive(voltage) => self.modulate(voltage, phases),
-            CommissioningStep::Ended(result) => {
+            CommissioningStep::Drive(voltage) => return self.modulate(voltage, phases),
+            CommissioningStep::Ended(Ok(windings)) => {
+                self.reset_controllers();
+                self.apply_identification(&windings);
+                self.spin_test = Some(SpinTest::new(windings, max_a));
+            }
+            CommissioningStep::Ended(Err(error)) => {
                 self.disarm();
-                match result {
-                    Ok(identified) => {
-                        self.identification = Some(identified);
-                        self.settings.apply_identification(&identified);
-                        self.windings = Windings::of(&self.settings.machine);
-                    }
-                    Err(error) => self.state = MotorState::CommissioningFailed(error),
-                }
-                BridgeCommand::Off
+                self.state = MotorState::CommissioningFailed(error);
             }
         }
+        BridgeCommand::Off
+    }
+
+    fn apply_identification(&mut self, identified: &IdentifiedMotor) {
+        self.settings.apply_identification(identified);
+        self.windings = Windings::of(&self.settings.machine);
     }
 
     /// Duty cycles for a voltage; trips where it is not finite.
