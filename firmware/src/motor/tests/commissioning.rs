@@ -52,7 +52,7 @@ fn commissioning_reports_the_defect() {
         defect(&mut model);
         let mut motor = Motor::new(Settings::assumed(Screw::A));
         motor.handle_command(MotorCommand::Commission);
-        model.run(&mut motor, 60_000, |_, _| {});
+        model.run(&mut motor, 100_000, |_, _| {});
         assert_eq!(model.drive, BridgeCommand::Off);
         match motor.status().state {
             MotorState::CommissioningFailed(refusal) => refusal,
