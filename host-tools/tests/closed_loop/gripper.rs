@@ -6,6 +6,7 @@ use std::sync::atomic::Ordering;
 use firmware::config::constants::TICK_US;
 use firmware::grip::commands::mode;
 use firmware::grip::states::{PowerState, TaskState};
+use firmware::motor::as5047;
 use firmware::parameters::{Backdrivability, Parameters};
 use firmware::protocol;
 use firmware::protocol::messages::{Command, FaultEvent};
@@ -182,6 +183,51 @@ fn hold_survives_loss_of_sensors_host_or_bus() {
                 cell.state()
             );
         }
+    }
+}
+
+/// A host that pauses and comes back has its object, and needs nothing but its next command. After a long pause its session is over.
+#[test]
+fn host_that_pauses_during_a_hold_goes_on_with_its_next_command() {
+    for lead in Lead::BOTH {
+        for pause_s in [0.05, 0.2, 1.0, 5.0] {
+            let cell = &mut gripping(lead);
+            cell.host.is_silent = true;
+            cell.run(pause_s);
+            assert!((cell.force_n() - SET_N).abs() < 3.0, "{lead:?} {pause_s}: {}", cell.force_n());
+            cell.host.is_silent = false;
+            let open =
+                Command { mode: mode::RELEASE, position: 1200, speed: 160, ..Command::default() };
+            cell.host.order(open);
+            let took_s =
+                cell.until(3.0, |cell| cell.force_n() == 0.0 && cell.is_in(TaskState::Idle));
+            assert!(took_s.is_some(), "{lead:?} {pause_s}: {}", cell.state());
+        }
+    }
+}
+
+/// Each 30th angle is off by 50 degrees, as by a disturbed frame with a valid parity: it is bridged.
+#[test]
+fn single_wrong_angles_do_not_disturb_motion_and_hold() {
+    for lead in Lead::BOTH {
+        let cell = &mut before_object(lead);
+        let mut frames = 0_u32;
+        cell.gripper.borrow_mut().errors.frame = Some(Box::new(move |frame| {
+            frames += 1;
+            let off = (50.0 / 360.0 * 16_384.0) as u16;
+            let angle = frame & as5047::DATA;
+            if frames.is_multiple_of(30) { as5047::answer(angle.wrapping_add(off)) } else { frame }
+        }));
+        cell.host.order(grip_command(SET_N));
+        let held = cell.until(3.0, |cell| cell.is_in(TaskState::HoldActive));
+        assert!(held.is_some(), "{lead:?}: {}", cell.state());
+        cell.gripper.borrow_mut().peak_n = 0.0;
+        for _ in 0..1000 {
+            cell.tick();
+            assert!((cell.force_n() - SET_N).abs() < 3.0, "{lead:?}: {}", cell.force_n());
+        }
+        let faults = &cell.host.received.faults;
+        assert!(faults.is_empty(), "{lead:?}: {faults:?}");
     }
 }
 
