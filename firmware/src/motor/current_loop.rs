@@ -161,14 +161,18 @@ impl CurrentLoop {
                 .and(self.check_sensors(samples, phases)),
         };
         let current = AlphaBeta::from_phases(phases);
-        match (checked, self.state) {
-            (Err(trip), _) => self.trip(trip),
-            (_, MotorState::Armed) => self.control(phases, current),
+        let drive = match (checked, self.state) {
+            (Err(trip), _) => Drive::Command(self.trip(trip)),
+            (_, MotorState::Armed) => self.control(current),
             (_, MotorState::Commissioning) => self.commission(phases, current),
             _ => {
                 self.update_measured(current);
-                BridgeCommand::Off
+                Drive::Command(BridgeCommand::Off)
             }
+        };
+        match drive {
+            Drive::Command(command) => command,
+            Drive::Follow(setpoint) => self.follow(setpoint, phases),
         }
     }
 
@@ -275,7 +279,7 @@ impl CurrentLoop {
         self.applied = self.output.voltage;
     }
 
-    fn control(&mut self, phases: [f32; 3], current: AlphaBeta) -> BridgeCommand {
+    fn control(&mut self, current: AlphaBeta) -> Drive {
         self.update_measured(current);
         let limits = &self.settings.limits;
         let [_, full_v] = limits.dissipation_v;
@@ -286,10 +290,10 @@ impl CurrentLoop {
             _ if self.bus_v < MIN_BUS_V => BridgeCommand::Off,
             _ if self.is_shorted => BridgeCommand::Brake,
             CurrentLoopAction::Brake => BridgeCommand::Brake,
-            CurrentLoopAction::Follow(setpoint) => return self.follow(setpoint, phases),
+            CurrentLoopAction::Follow(setpoint) => return Drive::Follow(setpoint),
         };
         self.reset_controllers();
-        command
+        Drive::Command(command)
     }
 
     fn follow(&mut self, setpoint: Dq, phases: [f32; 3]) -> BridgeCommand {
@@ -305,7 +309,7 @@ impl CurrentLoop {
         self.modulate(voltage, phases)
     }
 
-    fn commission(&mut self, phases: [f32; 3], current: AlphaBeta) -> BridgeCommand {
+    fn commission(&mut self, phases: [f32; 3], current: AlphaBeta) -> Drive {
         self.update_measured(current);
         let max_a = commissioning::max_a(self.settings.limits.peak_a);
         if let Some(spin_test) = &mut self.spin_test {
@@ -320,7 +324,7 @@ impl CurrentLoop {
                 speed: speed * f32::from(machine.pole_pairs),
             };
             return match spin_test.tick(speed, &sample, machine) {
-                SpinStep::Drive(q) => self.follow(Dq { d: 0.0, q }, phases),
+                SpinStep::Drive(q) => Drive::Follow(Dq { d: 0.0, q }),
                 SpinStep::Ended(result) => {
                     self.disarm();
                     match result {
@@ -330,12 +334,12 @@ impl CurrentLoop {
                         }
                         Err(error) => self.state = MotorState::CommissioningFailed(error),
                     }
-                    BridgeCommand::Off
+                    Drive::Command(BridgeCommand::Off)
                 }
             };
         }
         let Some(commissioning) = &mut self.commissioning else {
-            return self.trip(Trip::NotANumber);
+            return Drive::Command(self.trip(Trip::NotANumber));
         };
         let inputs = CommissioningInputs {
             current,
@@ -344,7 +348,9 @@ impl CurrentLoop {
             max_a,
         };
         match commissioning.tick(&inputs) {
-            CommissioningStep::Drive(voltage) => return self.modulate(voltage, phases),
+            CommissioningStep::Drive(voltage) => {
+                return Drive::Command(self.modulate(voltage, phases));
+            }
             CommissioningStep::Ended(Ok(windings)) => {
                 self.reset_controllers();
                 self.apply_identification(&windings);
@@ -355,7 +361,7 @@ impl CurrentLoop {
                 self.state = MotorState::CommissioningFailed(error);
             }
         }
-        BridgeCommand::Off
+        Drive::Command(BridgeCommand::Off)
     }
 
     fn apply_identification(&mut self, identified: &IdentifiedMotor) {
@@ -374,6 +380,13 @@ impl CurrentLoop {
             self.trip(Trip::NotANumber)
         }
     }
+}
+
+/// What a period ends with.
+enum Drive {
+    Command(BridgeCommand),
+    /// The current controllers follow a set-point. They have one caller: else they would not be in the memory of the interrupt.
+    Follow(Dq),
 }
 
 /// Checks the phase currents.

@@ -92,7 +92,7 @@ pub const STEPS: [Step; 12] = [
     Step {
         name: "stop",
         connect: "As before; a hand at the supply's switch.",
-        expect: "at rest 0.5 s after a stop, and 0.7 s after the host has fallen silent",
+        expect: "below 1.5 mm/s 0.5 s after a stop, and 0.7 s after the host has fallen silent",
         otherwise: "Do not go on: the gripper must stop by itself",
         run: stop,
     },
@@ -326,7 +326,8 @@ fn stop(doing: &mut BringUp<'_>) -> Result<()> {
         armed.end()?;
         let (moved, rest) = (opening_mm_s(&moving.state), opening_mm_s(&after.state));
         doing.check("speed before in mm/s", moved.abs(), [3.0, 15.0])?;
-        doing.check(name, rest.abs(), [0.0, 0.5])?;
+        // The noise of the speed at rest is up to half a millimetre per second.
+        doing.check(name, rest.abs(), [0.0, 1.5])?;
         doing.gripper.clear()?;
         doing.gripper.observe(tenths(3))?;
     }
