@@ -122,6 +122,8 @@ pub struct GripLimits {
     pub invalid_ticks: u8,
     /// Milliseconds of valid forces until they are used again.
     pub valid_again_ms: u16,
+    /// Maximum force set-point of any profile in newtons, also after slips.
+    pub max_n: f32,
     /// Force in newtons above which the fingers back off in every state.
     pub trip_n: f32,
     /// Force set-point in newtons after an overforce.
@@ -174,6 +176,8 @@ pub struct GripLimits {
     pub overtravel_mm: f32,
     /// Milliseconds with that overtravel.
     pub overtravel_ms: u16,
+    /// Torque constant of the motor in N m per ampere, which the currents here are for.
+    pub torque_nm_a: f32,
     /// Current in amperes above which a rotor at rest is stalled.
     pub stall_a: f32,
     /// Mean speed in mm/s below which it is stalled; the slowest approach is at 2 mm/s.
@@ -235,6 +239,7 @@ impl GripLimits {
         fingers_met_mm: 0.2,
         invalid_ticks: 3,
         valid_again_ms: 20,
+        max_n: 400.0,
         trip_n: 450.0,
         overforce_release_n: 50.0,
         home_n: 10.0,
@@ -260,6 +265,7 @@ impl GripLimits {
         part_n_per_mm: 30.0,
         overtravel_mm: 0.8,
         overtravel_ms: 3,
+        torque_nm_a: constants::TORQUE_CONSTANT.value as f32,
         stall_a: 1.2,
         stall_mm_s: 0.8,
         stall_ms: 40,
@@ -273,4 +279,7 @@ impl GripLimits {
         peak_ms: 10,
         overload_n: 0.87 * constants::FORCE_RANGE.value as f32,
     };
+
+    /// Maximum force set-point on the bench in newtons.
+    pub const BENCH_N: f32 = 20.0;
 }

@@ -156,7 +156,7 @@ fn grasp_target(command: &Command, limits: &GripLimits) -> Result<GraspTarget, R
     let profile =
         GripProfile::of(command.flags & flag::PROFILE).ok_or(RefusalReason::OutOfRange)?;
     let setpoint_n = f32::from(command.force) / per_n;
-    let cap_n = profile.max_n().min(CEILING_N);
+    let cap_n = profile.max_n().min(limits.max_n);
     if setpoint_n < limits.contact_n || setpoint_n > cap_n {
         return Err(RefusalReason::OutOfRange);
     }
@@ -222,11 +222,10 @@ impl GripProfile {
     }
 }
 
-/// Maximum force set-point of any profile in newtons.
-pub const CEILING_N: f32 = 400.0;
-
-const _: () =
-    assert!(GripProfile::Strong.max_n() <= CEILING_N && CEILING_N < GripLimits::GRIPPER.trip_n);
+const _: () = {
+    let limits = GripLimits::GRIPPER;
+    assert!(GripProfile::Strong.max_n() <= limits.max_n && limits.max_n < limits.trip_n);
+};
 
 /// Why a command is refused; the number is sent to the host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -252,7 +251,7 @@ pub enum RefusalReason {
     FootMode = 9,
     /// The command does not apply in this state.
     NotApplicable = 10,
-    /// A value is out of range or above the cap of the profile.
+    /// A value is out of range or above the cap of the profile, or of the bench.
     OutOfRange = 11,
     /// No finger has a valid force.
     Blind = 12,

@@ -206,7 +206,6 @@ impl GripController {
 
     /// Amperes that hold the force on a backdrivable screw, without the help of dry friction.
     fn holding_a(&self) -> f32 {
-        const TORQUE_NM_A: f32 = constants::TORQUE_CONSTANT.value as f32;
-        self.screw.holding_nm(self.force_n, 0.0) / TORQUE_NM_A
+        self.screw.holding_nm(self.force_n, 0.0) / self.limits.torque_nm_a
     }
 }

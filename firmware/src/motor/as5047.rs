@@ -16,6 +16,8 @@ use crate::motor::power_stage::{Encoder, EncoderError};
 pub const READ_ANGLE: u16 = read_command(0x3FFF);
 /// Command to read the error register (ERRFL), which clears it.
 const READ_ERRORS: u16 = read_command(0x0001);
+/// Command to read the strength of the magnet and the gain (DIAAGC).
+const READ_DIAGNOSIS: u16 = read_command(0x3FFC);
 /// Command without effect (NOP), to receive the answer to the previous one.
 const NO_OPERATION: u16 = read_command(0x0000);
 /// Error bit of an answer: a previous command frame was invalid.
@@ -53,6 +55,16 @@ pub const fn angle(answer: u16) -> Result<u16, EncoderError> {
     } else {
         Ok(answer & DATA)
     }
+}
+
+/// Bits of DIAAGC: automatic gain, and what is wrong.
+pub mod diagnosis {
+    /// Gain, 0 for a strong field, 255 for none.
+    pub const GAIN: u16 = 0xFF;
+    /// The offsets are compensated.
+    pub const READY: u16 = 1 << 8;
+    /// The field is too strong or too weak, or the angle overflows.
+    pub const WRONG: u16 = 0b1110 << 8;
 }
 
 /// Answer of a working sensor, for simulations.
@@ -111,6 +123,15 @@ impl<B: SpiBus<u16>, C: OutputPin> As5047<B, C> {
             0 => Ok(()),
             _ => Err(EncoderError::ErrorFlag),
         }
+    }
+
+    /// Strength of the magnet and gain ([`diagnosis`]). Waits some microseconds.
+    ///
+    /// # Errors
+    /// No valid answer.
+    pub fn diagnose<D: DelayNs>(&mut self, delay: &mut D) -> Result<u16, EncoderError> {
+        self.transfer_frame(READ_DIAGNOSIS, delay)?;
+        angle(self.transfer_frame(NO_OPERATION, delay)?)
     }
 
     /// Sends a command and waits for the end of its frame.

@@ -10,8 +10,8 @@ use crate::motor::state::{MotorCommand, MotorState, MotorStatus, Setpoint, Trip}
 
 /// Timeout in milliseconds for the motor to begin.
 const START_MS: u32 = 100;
-/// Grip current in amperes of the backdrive test: about 100 N with the assumed screws.
-const GRIP_A: f32 = 2.0;
+/// Grip torque in N m of the backdrive test: about 100 N with the assumed screws.
+const GRIP_NM: f32 = 0.2;
 /// Speed in mm/s and duration in milliseconds of the release after the test.
 const RELEASE: (f32, u32) = (5.0, 400);
 
@@ -72,11 +72,15 @@ pub enum CalibrationFailure {
     SoftPart = 14,
     /// See [`CommissioningError::CurrentSense`].
     CurrentSense = 15,
+    /// See [`CommissioningError::TorqueConstant`].
+    TorqueConstant = 16,
+    /// See [`CommissioningError::Inertia`].
+    Inertia = 17,
 }
 
 impl CalibrationFailure {
     /// All reasons.
-    pub const ALL: [Self; 15] = [
+    pub const ALL: [Self; 17] = [
         Self::NotAllowed,
         Self::NotReady,
         Self::Tripped,
@@ -92,6 +96,8 @@ impl CalibrationFailure {
         Self::Force,
         Self::SoftPart,
         Self::CurrentSense,
+        Self::TorqueConstant,
+        Self::Inertia,
     ];
 
     const fn of(error: CommissioningError) -> Self {
@@ -103,6 +109,8 @@ impl CalibrationFailure {
             CommissioningError::Stuck => Self::Stuck,
             CommissioningError::PolePairs { .. } => Self::PolePairs,
             CommissioningError::Slipped => Self::Slipped,
+            CommissioningError::TorqueConstant { .. } => Self::TorqueConstant,
+            CommissioningError::Inertia { .. } => Self::Inertia,
         }
     }
 }
@@ -135,12 +143,15 @@ pub struct Calibration {
     kind: CalibrationKind,
     phase: CalibrationPhase,
     elapsed_ms: u32,
+    /// Current in amperes of [`GRIP_NM`].
+    grip_a: f32,
 }
 
 impl Calibration {
-    /// Begins a calibration.
-    pub const fn new(kind: CalibrationKind) -> Self {
-        Self { kind, phase: CalibrationPhase::Start, elapsed_ms: 0 }
+    /// Begins a calibration of a motor with a torque constant in N m per ampere.
+    pub const fn new(kind: CalibrationKind, torque_nm_a: f32) -> Self {
+        let grip_a = GRIP_NM / torque_nm_a;
+        Self { kind, phase: CalibrationPhase::Start, elapsed_ms: 0, grip_a }
     }
 
     /// What is calibrated.
@@ -179,16 +190,16 @@ impl Calibration {
                     _ => Some(MotorCommand::Commission),
                 })
             }
-            (CalibrationPhase::Start, CalibrationKind::Screw) => {
-                ControlFlow::Continue(match motor.state {
-                    MotorState::Armed => {
-                        self.enter(CalibrationPhase::BackdriveTest(BackdriveTest::new(GRIP_A)));
-                        None
-                    }
-                    MotorState::Arming => None,
-                    _ => Some(MotorCommand::Arm),
-                })
-            }
+            (CalibrationPhase::Start, CalibrationKind::Screw) => ControlFlow::Continue(match motor
+                .state
+            {
+                MotorState::Armed => {
+                    self.enter(CalibrationPhase::BackdriveTest(BackdriveTest::new(self.grip_a)));
+                    None
+                }
+                MotorState::Arming => None,
+                _ => Some(MotorCommand::Arm),
+            }),
             (CalibrationPhase::Commissioning, _) => match (motor.state, motor.identification) {
                 (MotorState::Commissioning, _) => ControlFlow::Continue(None),
                 (MotorState::CommissioningFailed(error), _) => {
@@ -225,7 +236,7 @@ impl Calibration {
                 }
                 ControlFlow::Continue(Some(MotorCommand::Setpoint(Setpoint::Speed {
                     closing_mm_s: -speed_mm_s,
-                    max_a: GRIP_A,
+                    max_a: self.grip_a,
                 })))
             }
         }
@@ -248,6 +259,7 @@ mod tests {
         inductance_h: 0.0004,
         pole_pairs: 7,
         wiring: MotorWiring { offset: 1, is_swapped: false },
+        ..IdentifiedMotor::ASSUMED
     };
 
     fn status(state: MotorState) -> MotorStatus {
@@ -256,7 +268,7 @@ mod tests {
 
     #[test]
     fn commissioning_returns_the_new_identification() {
-        let mut calibration = Calibration::new(CalibrationKind::Motor);
+        let mut calibration = Calibration::new(CalibrationKind::Motor, 0.1);
         let mut tick = |state, found| {
             let motor = MotorStatus { identification: found, ..status(state) };
             calibration.tick(&motor)
@@ -274,7 +286,7 @@ mod tests {
 
     #[test]
     fn failing_motor_ends_the_calibration_with_its_reason() {
-        let mut refused = Calibration::new(CalibrationKind::Motor);
+        let mut refused = Calibration::new(CalibrationKind::Motor, 0.1);
         refused.tick(&status(MotorState::Commissioning)).continue_value().unwrap();
         let ended =
             refused.tick(&status(MotorState::CommissioningFailed(CommissioningError::Stuck)));
@@ -282,14 +294,14 @@ mod tests {
             ended,
             ControlFlow::Break(CalibrationOutcome::Failed(CalibrationFailure::Stuck))
         );
-        let mut tripped = Calibration::new(CalibrationKind::Screw);
+        let mut tripped = Calibration::new(CalibrationKind::Screw, 0.1);
         (0..5).for_each(|_| assert!(tripped.tick(&status(MotorState::Arming)).is_continue()));
         let ended = tripped.tick(&status(MotorState::Tripped(Trip::Encoder)));
         assert_eq!(
             ended,
             ControlFlow::Break(CalibrationOutcome::Failed(CalibrationFailure::Tripped))
         );
-        let mut silent = Calibration::new(CalibrationKind::Screw);
+        let mut silent = Calibration::new(CalibrationKind::Screw, 0.1);
         let ended =
             (0..=START_MS).find_map(|_| silent.tick(&status(MotorState::Disarmed)).break_value());
         assert_eq!(ended, Some(CalibrationOutcome::Failed(CalibrationFailure::NotReady)));
@@ -297,7 +309,7 @@ mod tests {
 
     #[test]
     fn backdrive_test_reports_self_locking_and_releases() {
-        let mut calibration = Calibration::new(CalibrationKind::Screw);
+        let mut calibration = Calibration::new(CalibrationKind::Screw, 0.1);
         assert_eq!(
             calibration.tick(&status(MotorState::Disarmed)),
             ControlFlow::Continue(Some(MotorCommand::Arm))
@@ -311,7 +323,7 @@ mod tests {
             ControlFlow::Break(outcome) => Some(outcome),
         });
         assert_eq!(ended, Some(CalibrationOutcome::Screw { locks: true }));
-        let last = MotorCommand::Setpoint(Setpoint::Speed { closing_mm_s: -5.0, max_a: GRIP_A });
+        let last = MotorCommand::Setpoint(Setpoint::Speed { closing_mm_s: -5.0, max_a: 2.0 });
         assert_eq!(commands.last(), Some(&last));
     }
 }

@@ -1,5 +1,5 @@
 //! Commissioning: measures resistance and inductance of the windings, pole pairs, order of the phases, and the
-//! offset of the rotor sensor, each checked for plausibility.
+//! offset of the rotor sensor, each checked for plausibility. A [`super::spin_test`] follows.
 //!
 //! Nothing may be gripped, and the fingers need room: the rotor turns by two electrical turns and back. In order:
 //!
@@ -20,12 +20,12 @@ use crate::motor::timing::PERIOD_S;
 const SETTLE: u32 = 6_000;
 /// Averaging periods of a level, a power of two: 51 ms.
 const AVERAGE: u32 = 1_024;
-/// Periods of each rotation of the field: 0.5 s.
-const TURN: u32 = 10_000;
+/// Periods of each rotation of the field, 1 s: the voltage that the rotor induces stays below that of the current.
+const TURN: u32 = 20_000;
 /// Electrical turns of each rotation.
 const TURNS: u32 = 2;
 /// Periods over which the current is compared with the turning field: 37 degrees.
-const WINDOW: u32 = 512;
+const WINDOW: u32 = 1_024;
 /// Tangent of the greatest angle between them: 30 degrees.
 const DIRECTION_TOLERANCE: f32 = 0.577;
 /// Periods of rest after each rotation.
@@ -34,23 +34,23 @@ const PAUSE: u32 = 4_000;
 const WAVES: u32 = 2_048;
 /// Integral gain of the level controller in V/(A s): 20 Hz at the assumed resistance.
 const INTEGRAL_GAIN: f32 = 50.0;
-/// Current levels relative to the rated current.
-const LEVELS: [f32; 2] = [0.35, 0.7];
+/// Highest current, relative to the rated one.
+const MAX_SHARE: f32 = 0.7;
+/// Current levels relative to the highest current.
+const LEVELS: [f32; 2] = [0.5, 1.0];
 /// Maximum relative error of a settled level.
 const LEVEL_TOLERANCE: f32 = 0.1;
 /// Maximum voltage along phase U in volts.
 const MAX_V: f32 = 8.0;
 /// Amplitude of the square wave in volts.
 const WAVE_V: f32 = 2.0;
-/// Largest plausible ratio of resistance or inductance to the assumed value, in either direction.
-pub const PLAUSIBLE_FACTOR: f32 = 4.0;
-const PLAUSIBLE: core::ops::RangeInclusive<f32> = 1.0 / PLAUSIBLE_FACTOR..=PLAUSIBLE_FACTOR;
 /// Maximum pole pairs.
 const MAX_POLE_PAIRS: f32 = 30.0;
 /// Maximum deviation of the measured pole pairs from an integer.
 const POLE_PAIR_TOLERANCE: f32 = 0.25;
-/// Maximum difference of both rest positions in electrical turns.
-const REST_TOLERANCE: f32 = 0.1;
+/// Maximum difference of both rest positions in electrical turns: friction holds the rotor back by up to a tenth on either side
+/// where the current is low.
+const REST_TOLERANCE: f32 = 0.2;
 
 /// Why commissioning failed.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -81,6 +81,22 @@ pub enum CommissioningError {
     CurrentSense,
     /// The rotor did not return to its start: it slipped or was turned.
     Slipped,
+    /// The torque constant is implausible.
+    TorqueConstant {
+        /// Measured torque constant in N m per ampere.
+        measured_nm_a: f32,
+    },
+    /// The inertia is implausible.
+    Inertia {
+        /// Measured inertia in kg m^2.
+        measured_kg_m2: f32,
+    },
+}
+
+/// Highest current of the measurements in amperes, with a limit of the motor's current.
+pub fn max_a(limit_a: f32) -> f32 {
+    const RATED_A: f32 = (constants::RATED_TORQUE.value / constants::TORQUE_CONSTANT.value) as f32;
+    (MAX_SHARE * RATED_A).min(limit_a)
 }
 
 /// Measurements of one period.
@@ -92,6 +108,8 @@ pub struct CommissioningInputs {
     pub angle: u32,
     /// Available voltage in volts.
     pub max_v: f32,
+    /// See [`max_a`].
+    pub max_a: f32,
 }
 
 /// Result of one period.
@@ -177,10 +195,8 @@ impl Commissioning {
     }
 
     fn level(&mut self, inputs: &CommissioningInputs, upper: usize) -> CommissioningStep {
-        const RATED_A: f32 =
-            (constants::RATED_TORQUE.value / constants::TORQUE_CONSTANT.value) as f32;
         let [low, high] = LEVELS;
-        let level_a = RATED_A * if upper == 0 { low } else { high };
+        let level_a = inputs.max_a * if upper == 0 { low } else { high };
         let volts = self.volts + INTEGRAL_GAIN * PERIOD_S * (level_a - inputs.current.alpha);
         self.volts = volts.min(MAX_V.min(inputs.max_v)).max(-MAX_V);
         if self.periods > SETTLE {
@@ -203,8 +219,8 @@ impl Commissioning {
             } else {
                 let [lower_v, lower_a] = self.lower;
                 let measured_ohm = (mean_v - lower_v) / (mean_a - lower_a);
-                let share = measured_ohm / MotorParameters::ASSUMED.resistance_ohm;
-                if !PLAUSIBLE.contains(&share) {
+                let assumed_ohm = MotorParameters::ASSUMED.resistance_ohm;
+                if !MotorParameters::is_plausible(measured_ohm, assumed_ohm) {
                     return CommissioningStep::Ended(Err(CommissioningError::Resistance {
                         measured_ohm,
                     }));
@@ -290,7 +306,7 @@ impl Commissioning {
     fn result(&self) -> Result<IdentifiedMotor, CommissioningError> {
         let slope = self.rises.sum / self.rises.count - self.falls.sum / self.falls.count;
         let inductance_h = 2.0 * WAVE_V * PERIOD_S / slope;
-        if !PLAUSIBLE.contains(&(inductance_h / MotorParameters::ASSUMED.inductance_h)) {
+        if !MotorParameters::is_plausible(inductance_h, MotorParameters::ASSUMED.inductance_h) {
             return Err(CommissioningError::Inductance { measured_h: inductance_h });
         }
         let (pole_pairs, is_swapped) = self.pole_pairs()?;
@@ -299,6 +315,7 @@ impl Commissioning {
             inductance_h,
             pole_pairs,
             wiring: MotorWiring { offset: self.offset(pole_pairs)?, is_swapped },
+            ..IdentifiedMotor::ASSUMED
         })
     }
 

@@ -1,13 +1,14 @@
 //! Current loop, 20 kHz: from samples to bridge commands, with the motor's state and its fast protections.
 
 use crate::math::{Direction, greater};
-use crate::motor::commissioning::{Commissioning, CommissioningInputs, CommissioningStep};
+use crate::motor::commissioning::{self, Commissioning, CommissioningInputs, CommissioningStep};
 use crate::motor::current_sense::{self, CurrentOffsets, OffsetMeasurement};
-use crate::motor::diagnostics::SensorMonitor;
+use crate::motor::diagnostics::{ElectricalSample, SensorMonitor};
 use crate::motor::encoder::AngleTracker;
 use crate::motor::foc::{self, AlphaBeta, CurrentController, Dq, VoltageOutput, Windings};
 use crate::motor::power_stage::{BridgeCommand, MotorSamples};
 use crate::motor::settings::{IdentifiedMotor, MotorLimits, Settings};
+use crate::motor::spin_test::{SpinStep, SpinTest};
 use crate::motor::state::{MotorState, Trip};
 use crate::motor::tick_exchange::{
     CurrentLoopAction, CurrentLoopCommand, CurrentLoopReport, StateChange,
@@ -32,6 +33,8 @@ pub struct CurrentLoop {
     offset_measurement: OffsetMeasurement,
     /// In progress, or to begin after the offset measurement.
     commissioning: Option<Commissioning>,
+    /// The second part of commissioning, in progress.
+    spin_test: Option<SpinTest>,
     identification: Option<IdentifiedMotor>,
     tracker: AngleTracker,
     currents: CurrentController,
@@ -64,6 +67,7 @@ impl CurrentLoop {
             offsets: CurrentOffsets::NOMINAL,
             offset_measurement: OffsetMeasurement::default(),
             commissioning: None,
+            spin_test: None,
             identification: None,
             tracker: AngleTracker::default(),
             currents: CurrentController::default(),
@@ -157,14 +161,18 @@ impl CurrentLoop {
                 .and(self.check_sensors(samples, phases)),
         };
         let current = AlphaBeta::from_phases(phases);
-        match (checked, self.state) {
-            (Err(trip), _) => self.trip(trip),
-            (_, MotorState::Armed) => self.control(phases, current),
+        let drive = match (checked, self.state) {
+            (Err(trip), _) => Drive::Command(self.trip(trip)),
+            (_, MotorState::Armed) => self.control(current),
             (_, MotorState::Commissioning) => self.commission(phases, current),
             _ => {
                 self.update_measured(current);
-                BridgeCommand::Off
+                Drive::Command(BridgeCommand::Off)
             }
+        };
+        match drive {
+            Drive::Command(command) => command,
+            Drive::Follow(setpoint) => self.follow(setpoint, phases),
         }
     }
 
@@ -181,7 +189,7 @@ impl CurrentLoop {
 
     fn disarm(&mut self) {
         self.state = MotorState::Disarmed;
-        self.commissioning = None;
+        (self.commissioning, self.spin_test) = (None, None);
         self.reset_controllers();
     }
 
@@ -190,7 +198,7 @@ impl CurrentLoop {
         if !matches!(self.state, MotorState::Tripped(_)) {
             self.state = MotorState::Tripped(trip);
             self.is_stage_off = false;
-            self.commissioning = None;
+            (self.commissioning, self.spin_test) = (None, None);
             self.reset_controllers();
         }
         self.is_stage_off |= trip.drive() == BridgeCommand::Off;
@@ -215,8 +223,9 @@ impl CurrentLoop {
 
     /// Exchanges phases V and W where they are swapped; its own inverse. Commissioning measures the wiring anew.
     fn swapped(&self, [u, v, w]: [f32; 3]) -> [f32; 3] {
-        let is_commissioning = matches!(self.state, MotorState::Commissioning);
-        if self.settings.wiring.is_swapped && !is_commissioning { [u, w, v] } else { [u, v, w] }
+        let is_unknown =
+            matches!(self.state, MotorState::Commissioning) && self.spin_test.is_none();
+        if self.settings.wiring.is_swapped && !is_unknown { [u, w, v] } else { [u, v, w] }
     }
 
     /// Checks limits while the bridges may be on.
@@ -270,7 +279,7 @@ impl CurrentLoop {
         self.applied = self.output.voltage;
     }
 
-    fn control(&mut self, phases: [f32; 3], current: AlphaBeta) -> BridgeCommand {
+    fn control(&mut self, current: AlphaBeta) -> Drive {
         self.update_measured(current);
         let limits = &self.settings.limits;
         let [_, full_v] = limits.dissipation_v;
@@ -281,10 +290,10 @@ impl CurrentLoop {
             _ if self.bus_v < MIN_BUS_V => BridgeCommand::Off,
             _ if self.is_shorted => BridgeCommand::Brake,
             CurrentLoopAction::Brake => BridgeCommand::Brake,
-            CurrentLoopAction::Follow(setpoint) => return self.follow(setpoint, phases),
+            CurrentLoopAction::Follow(setpoint) => return Drive::Follow(setpoint),
         };
         self.reset_controllers();
-        command
+        Drive::Command(command)
     }
 
     fn follow(&mut self, setpoint: Dq, phases: [f32; 3]) -> BridgeCommand {
@@ -300,31 +309,64 @@ impl CurrentLoop {
         self.modulate(voltage, phases)
     }
 
-    fn commission(&mut self, phases: [f32; 3], current: AlphaBeta) -> BridgeCommand {
+    fn commission(&mut self, phases: [f32; 3], current: AlphaBeta) -> Drive {
         self.update_measured(current);
+        let max_a = commissioning::max_a(self.settings.limits.peak_a);
+        if let Some(spin_test) = &mut self.spin_test {
+            let machine = &self.settings.machine;
+            let speed = self.tracker.speed();
+            let sample = ElectricalSample {
+                measured: self.measured,
+                previous: self.previous,
+                setpoint: Dq::default(),
+                voltage: self.applied,
+                max_v: 0.0,
+                speed: speed * f32::from(machine.pole_pairs),
+            };
+            return match spin_test.tick(speed, &sample, machine) {
+                SpinStep::Drive(q) => Drive::Follow(Dq { d: 0.0, q }),
+                SpinStep::Ended(result) => {
+                    self.disarm();
+                    match result {
+                        Ok(identified) => {
+                            self.identification = Some(identified);
+                            self.apply_identification(&identified);
+                        }
+                        Err(error) => self.state = MotorState::CommissioningFailed(error),
+                    }
+                    Drive::Command(BridgeCommand::Off)
+                }
+            };
+        }
         let Some(commissioning) = &mut self.commissioning else {
-            return self.trip(Trip::NotANumber);
+            return Drive::Command(self.trip(Trip::NotANumber));
         };
         let inputs = CommissioningInputs {
             current,
             angle: self.tracker.angle(),
             max_v: foc::max_v(self.bus_v),
+            max_a,
         };
         match commissioning.tick(&inputs) {
-            CommissioningStep::Drive(voltage) => self.modulate(voltage, phases),
-            CommissioningStep::Ended(result) => {
+            CommissioningStep::Drive(voltage) => {
+                return Drive::Command(self.modulate(voltage, phases));
+            }
+            CommissioningStep::Ended(Ok(windings)) => {
+                self.reset_controllers();
+                self.apply_identification(&windings);
+                self.spin_test = Some(SpinTest::new(windings, max_a));
+            }
+            CommissioningStep::Ended(Err(error)) => {
                 self.disarm();
-                match result {
-                    Ok(identified) => {
-                        self.identification = Some(identified);
-                        self.settings.apply_identification(&identified);
-                        self.windings = Windings::of(&self.settings.machine);
-                    }
-                    Err(error) => self.state = MotorState::CommissioningFailed(error),
-                }
-                BridgeCommand::Off
+                self.state = MotorState::CommissioningFailed(error);
             }
         }
+        Drive::Command(BridgeCommand::Off)
+    }
+
+    fn apply_identification(&mut self, identified: &IdentifiedMotor) {
+        self.settings.apply_identification(identified);
+        self.windings = Windings::of(&self.settings.machine);
     }
 
     /// Duty cycles for a voltage; trips where it is not finite.
@@ -338,6 +380,13 @@ impl CurrentLoop {
             self.trip(Trip::NotANumber)
         }
     }
+}
+
+/// What a period ends with.
+enum Drive {
+    Command(BridgeCommand),
+    /// The current controllers follow a set-point. They have one caller: else they would not be in the memory of the interrupt.
+    Follow(Dq),
 }
 
 /// Checks the phase currents.

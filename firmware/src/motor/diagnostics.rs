@@ -128,7 +128,11 @@ impl VoltageMonitor {
 }
 
 /// Applied voltage minus resistive, inductive and induced voltage.
-fn voltage_residual(sample: &ElectricalSample, machine: &MotorParameters, induced_v: f32) -> Dq {
+pub(super) fn voltage_residual(
+    sample: &ElectricalSample,
+    machine: &MotorParameters,
+    induced_v: f32,
+) -> Dq {
     let ElectricalSample { measured, previous, voltage, .. } = sample;
     let resistance = machine.resistance_ohm;
     let rate = machine.inductance_h / PERIOD_S;

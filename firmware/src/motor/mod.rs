@@ -7,7 +7,7 @@
 //! - [`CurrentLoop`] and [`MotionLoop`]: the two ticks; [`tick_exchange`]: data between them.
 //! - [`trajectory`]: set-points limited in speed, acceleration and jerk.
 //! - [`limits`], [`brake_energy`]: current limits and active limit codes; [`diagnostics`]: plausibility checks.
-//! - [`commissioning`], [`backdrive_test`], [`calibration`]: measurements of motor and screw.
+//! - [`commissioning`], [`spin_test`], [`backdrive_test`], [`calibration`]: measurements of motor and screw.
 //! - [`state`]: commands, states, trips and status.
 //!
 //! On the board each tick is an interrupt and the current loop pre-empts the motion loop; a simulation calls
@@ -29,6 +29,7 @@ mod motion_loop;
 pub mod power_stage;
 pub mod screw;
 pub mod settings;
+pub mod spin_test;
 pub mod state;
 #[cfg(test)]
 mod tests;

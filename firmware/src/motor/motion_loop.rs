@@ -148,6 +148,7 @@ impl MotionLoop {
     pub fn apply_identification(&mut self, identified: IdentifiedMotor) {
         self.identification = Some(identified);
         self.settings.apply_identification(&identified);
+        self.speed_gains = speed_gains(&self.settings.machine);
     }
 
     /// Result of the last commissioning, to be stored.

@@ -1,6 +1,7 @@
 //! Parameters of motor, screw and board, and the limits of motor control. Controller gains are derived from them.
 
 use crate::config::constants;
+use crate::math::lesser;
 use crate::motor::screw::Screw;
 
 /// Peak motor current in amperes.
@@ -26,7 +27,7 @@ pub struct MotorParameters {
 }
 
 impl MotorParameters {
-    /// The assumed motor; commissioning measures resistance, inductance and pole pairs.
+    /// The assumed motor; commissioning measures all but the viscous friction.
     pub const ASSUMED: Self = Self {
         pole_pairs: constants::POLE_PAIRS.value as u8,
         resistance_ohm: constants::PHASE_RESISTANCE.value as f32,
@@ -36,6 +37,15 @@ impl MotorParameters {
         dry_nm: constants::DRY_FRICTION.value as f32,
         viscous_nm_s: constants::VISCOUS_FRICTION.value as f32,
     };
+
+    /// Largest plausible ratio of a measured value to the assumed one, in either direction.
+    pub const PLAUSIBLE_FACTOR: f32 = 4.0;
+
+    /// Whether a measured value is plausible.
+    pub fn is_plausible(measured: f32, assumed: f32) -> bool {
+        let share = measured / assumed;
+        (1.0 / Self::PLAUSIBLE_FACTOR..=Self::PLAUSIBLE_FACTOR).contains(&share)
+    }
 
     /// Flux linkage of a phase in webers, derived from the torque constant.
     pub fn flux_wb(&self) -> f32 {
@@ -63,6 +73,28 @@ pub struct IdentifiedMotor {
     pub pole_pairs: u8,
     /// Sensor and phases.
     pub wiring: MotorWiring,
+    /// Torque constant in N m per ampere along q.
+    pub torque_nm_a: f32,
+    /// Inertia of rotor and what turns with it in kg m^2.
+    pub inertia_kg_m2: f32,
+    /// Dry friction without load in N m.
+    pub dry_nm: f32,
+}
+
+impl IdentifiedMotor {
+    /// The assumed motor.
+    pub const ASSUMED: Self = {
+        let assumed = MotorParameters::ASSUMED;
+        Self {
+            resistance_ohm: assumed.resistance_ohm,
+            inductance_h: assumed.inductance_h,
+            pole_pairs: assumed.pole_pairs,
+            wiring: MotorWiring { offset: 0, is_swapped: false },
+            torque_nm_a: assumed.torque_nm_a,
+            inertia_kg_m2: assumed.inertia_kg_m2,
+            dry_nm: assumed.dry_nm,
+        }
+    };
 }
 
 /// Limits of motor control.
@@ -153,6 +185,37 @@ impl MotorLimits {
         ends_mm: [-2.0, constants::STROKE.value as f32],
         homing_mm_s: 5.0,
     };
+
+    /// Speed of the opening on the bench in mm/s.
+    pub const BENCH_MM_S: f32 = 10.0;
+
+    /// Limits of a first operation: a supply of 12 V and 1 A, [`Self::BENCH_MM_S`].
+    pub fn bench(screw: &Screw) -> Self {
+        Self {
+            rated_a: 2.0,
+            peak_a: 2.0,
+            trip_a: 8.0,
+            power_w: 12.0,
+            speed: 1.1 * screw.rotor_speed(Self::BENCH_MM_S),
+            // Above the speed of commissioning.
+            trip_speed: (0.5 * constants::RATED_SPEED.value) as f32,
+            undervoltage_v: [9.0, 10.5],
+            runaway_a: 1.5,
+            ..Self::GRIPPER
+        }
+    }
+
+    /// Limits for a motor with this torque constant: neither the currents nor their torques exceed those of the assumed motor.
+    #[must_use]
+    pub fn for_torque_constant(self, torque_nm_a: f32) -> Self {
+        let share = lesser(1.0, MotorParameters::ASSUMED.torque_nm_a / torque_nm_a);
+        Self {
+            rated_a: share * self.rated_a,
+            peak_a: share * self.peak_a,
+            runaway_a: share * self.runaway_a,
+            ..self
+        }
+    }
 }
 
 /// All settings of motor control.
@@ -187,6 +250,9 @@ impl Settings {
         self.machine.resistance_ohm = identified.resistance_ohm;
         self.machine.inductance_h = identified.inductance_h;
         self.machine.pole_pairs = identified.pole_pairs;
+        self.machine.torque_nm_a = identified.torque_nm_a;
+        self.machine.inertia_kg_m2 = identified.inertia_kg_m2;
+        self.machine.dry_nm = identified.dry_nm;
         self.wiring = identified.wiring;
     }
 

@@ -7,21 +7,23 @@
 pub mod schema;
 
 use crate::config::constants::TICK_US;
+use crate::config::limits::GripLimits;
 use crate::estimator::tare::{MAX_OFFSET, Tare};
 use crate::fixed_point::Force;
+use crate::math::lesser;
 use crate::motor;
 use crate::motor::calibration::CalibrationOutcome;
-use crate::motor::settings::{MotorWiring, Settings};
+use crate::motor::settings::{MotorLimits, MotorWiring, Settings};
 use crate::parameters::schema::{COUNT, PARAMETERS, Parameter, RULES, id, index_of};
 use crate::protocol::messages::{ParamReply, ParamRequest};
 use crate::sensors::hall::{GripperHallSensor, HallSensor, SENSORS};
 
-/// Microohms in an ohm.
-const UOHM: f32 = schema::UOHM as f32;
+/// See [`schema::MICRO`].
+const MICRO: f32 = schema::MICRO as f32;
 /// From 2^-32 turns to the parameter's 2^-16: five thousandths of a degree.
 const OFFSET_SHIFT: u32 = 16;
-/// Nanohenries in a henry.
-const NH: f32 = 1e9;
+/// See [`schema::NANO`]; also nanohenries in a henry.
+const NANO: f32 = schema::NANO as f32;
 
 /// Operations of a request.
 pub mod op {
@@ -147,7 +149,7 @@ impl Parameters {
         self.value::<{ id::TELEMETRY }>() == 1
     }
 
-    /// Settings of the motor control.
+    /// Settings of the motor control, with the limits of the bench where they apply.
     pub fn settings(&self) -> Settings {
         let mut settings = Settings::assumed(match self.value::<{ id::LEAD }>() {
             1 => motor::screw::Screw::B,
@@ -155,13 +157,43 @@ impl Parameters {
         });
         let machine = &mut settings.machine;
         machine.pole_pairs = self.value::<{ id::POLE_PAIRS }>() as u8;
-        machine.resistance_ohm = self.value::<{ id::RESISTANCE }>() as f32 / UOHM;
-        machine.inductance_h = self.value::<{ id::INDUCTANCE }>() as f32 / NH;
+        machine.resistance_ohm = self.value::<{ id::RESISTANCE }>() as f32 / MICRO;
+        machine.inductance_h = self.value::<{ id::INDUCTANCE }>() as f32 / NANO;
+        machine.torque_nm_a = self.torque_nm_a();
+        machine.inertia_kg_m2 = self.value::<{ id::INERTIA }>() as f32 / NANO;
+        machine.dry_nm = self.value::<{ id::DRY_FRICTION }>() as f32 / MICRO;
+        let limits =
+            if self.is_on_bench() { MotorLimits::bench(&settings.screw) } else { settings.limits };
+        settings.limits = limits.for_torque_constant(self.torque_nm_a());
         settings.wiring = MotorWiring {
             offset: (self.value::<{ id::ROTOR_OFFSET }>() as u32) << OFFSET_SHIFT,
             is_swapped: self.value::<{ id::SWAPPED }>() == 1,
         };
         settings
+    }
+
+    /// Thresholds of the grip: currents have the torque that they have with the assumed motor, as far as the motor's limit allows.
+    pub fn grip_limits(&self) -> GripLimits {
+        let motor = self.settings();
+        let mut limits = GripLimits::GRIPPER;
+        limits.torque_nm_a = motor.machine.torque_nm_a;
+        let share = GripLimits::GRIPPER.torque_nm_a / limits.torque_nm_a;
+        // A motor that cannot exceed the current of a stall would not be found stalled.
+        let share = lesser(share, motor.limits.peak_a / limits.home_a);
+        for current_a in [
+            &mut limits.home_a,
+            &mut limits.uncalibrated_a,
+            &mut limits.blind_a,
+            &mut limits.blind_rise_a,
+            &mut limits.stall_a,
+            &mut limits.ground_hold_a,
+        ] {
+            *current_a *= share;
+        }
+        if self.is_on_bench() {
+            limits.max_n = GripLimits::BENCH_N;
+        }
+        limits
     }
 
     /// Applies the result of a calibration; values out of range are ignored.
@@ -170,10 +202,13 @@ impl Parameters {
             CalibrationOutcome::Motor(found) => {
                 for (id, value) in [
                     (id::POLE_PAIRS, i32::from(found.pole_pairs)),
-                    (id::RESISTANCE, (found.resistance_ohm * UOHM) as i32),
-                    (id::INDUCTANCE, (found.inductance_h * NH) as i32),
+                    (id::RESISTANCE, (found.resistance_ohm * MICRO) as i32),
+                    (id::INDUCTANCE, (found.inductance_h * NANO) as i32),
                     (id::ROTOR_OFFSET, (found.wiring.offset >> OFFSET_SHIFT) as i32),
                     (id::SWAPPED, i32::from(found.wiring.is_swapped)),
+                    (id::TORQUE_CONSTANT, (found.torque_nm_a * MICRO) as i32),
+                    (id::INERTIA, (found.inertia_kg_m2 * NANO) as i32),
+                    (id::DRY_FRICTION, (found.dry_nm * MICRO) as i32),
                     (id::COMMISSIONED, 1),
                 ] {
                     // Plausible values are in range.
@@ -190,6 +225,16 @@ impl Parameters {
     /// Whether the motor's parameters were measured by a calibration; else they are assumed.
     pub fn is_commissioned(&self) -> bool {
         self.value::<{ id::COMMISSIONED }>() == 1
+    }
+
+    /// Whether the limits of the bench apply: until a host has removed them.
+    pub fn is_on_bench(&self) -> bool {
+        self.value::<{ id::BENCH }>() == 1
+    }
+
+    /// Torque constant in N m per ampere along q.
+    pub fn torque_nm_a(&self) -> f32 {
+        self.value::<{ id::TORQUE_CONSTANT }>() as f32 / MICRO
     }
 
     /// Whether the load can turn the screw back without current.
@@ -378,23 +423,63 @@ mod tests {
     }
 
     #[test]
+    fn limits_of_the_bench_apply_until_a_host_removes_them() {
+        for bench in [None, Some(1), Some(0)] {
+            let mut parameters = Parameters::DEFAULT;
+            if let Some(bench) = bench {
+                parameters.set(id::BENCH, bench).unwrap();
+            }
+            let limits = parameters.settings().limits;
+            let max_n = parameters.grip_limits().max_n;
+            let [no_current_v, _] = limits.undervoltage_v;
+            let is_bench = [limits.peak_a <= 2.0, no_current_v < 12.0, max_n <= 20.0];
+            assert_eq!(is_bench, [bench != Some(0); 3], "{bench:?}");
+        }
+    }
+
+    #[test]
+    fn currents_of_the_grip_have_the_torque_of_the_assumed_motor() {
+        for share in [0.4, 1.0, 2.5] {
+            let mut parameters = Parameters::DEFAULT;
+            parameters.set(id::TORQUE_CONSTANT, (share * 100_000.0) as i32).unwrap();
+            parameters.set(id::BENCH, 0).unwrap();
+            let limits = parameters.grip_limits();
+            assert!((limits.home_a * share - GripLimits::GRIPPER.home_a).abs() < 1e-4);
+            assert!((limits.stall_a * share - GripLimits::GRIPPER.stall_a).abs() < 1e-4);
+            // On the bench a stall is still found.
+            parameters.set(id::BENCH, 1).unwrap();
+            let limits = parameters.grip_limits();
+            assert!(limits.stall_a < 0.9 * parameters.settings().limits.peak_a);
+        }
+    }
+
+    #[test]
     fn calibration_results_are_stored_and_restored() {
         use crate::motor::calibration::CalibrationOutcome;
         use crate::motor::settings::IdentifiedMotor;
         use crate::motor::settings::MotorWiring;
         let mut parameters = Parameters::DEFAULT;
+        parameters.set(id::BENCH, 0).unwrap();
         let wiring = MotorWiring { offset: 0xF001_0000, is_swapped: true };
         parameters.set_measured(&CalibrationOutcome::Motor(IdentifiedMotor {
             resistance_ohm: 0.375,
             inductance_h: 0.000_5,
             pole_pairs: 11,
             wiring,
+            torque_nm_a: 0.25,
+            inertia_kg_m2: 1e-4,
+            dry_nm: 0.03,
         }));
         assert!(parameters.is_commissioned() && !Parameters::DEFAULT.is_commissioned());
         let settings = parameters.settings();
         assert_eq!((settings.wiring, settings.machine.pole_pairs), (wiring, 11));
         assert_eq!(settings.machine.resistance_ohm, 0.375);
         assert!((settings.machine.inductance_h - 0.000_5).abs() < 1e-9);
+        assert!((settings.machine.torque_nm_a - 0.25).abs() < 1e-6);
+        assert!((settings.machine.inertia_kg_m2 - 1e-4).abs() < 1e-9);
+        assert!((settings.machine.dry_nm - 0.03).abs() < 1e-6);
+        // No more torque than the assumed motor.
+        assert!((settings.limits.peak_a - 3.84).abs() < 1e-3);
         for (locks, screw) in
             [(true, Backdrivability::SelfLocking), (false, Backdrivability::BackDriven)]
         {

@@ -2,7 +2,7 @@
 
 use crate::config::constants;
 use crate::estimator::tare::MAX_OFFSET;
-use crate::motor::commissioning::PLAUSIBLE_FACTOR;
+use crate::motor::settings::MotorParameters;
 use crate::protocol::DEFAULT_NODE;
 use crate::sensors::hall::{GripperHallSensor, HallSensor, SENSORS};
 
@@ -82,7 +82,7 @@ pub const fn index_of(id: u16) -> usize {
     index
 }
 
-/// Identifiers of counters since boot, which are read like parameters and cannot be written.
+/// Identifiers of counters since boot and of what the board is, which are read like parameters and cannot be written.
 pub mod counter {
     /// Failed transfers from sensors.
     pub const TRANSFERS_FAILED: u16 = 0x200;
@@ -98,6 +98,18 @@ pub mod counter {
     pub const FRAMES_UNSENT: u16 = 0x205;
     /// Packets dropped by the serial line.
     pub const PACKETS_UNSENT: u16 = 0x206;
+    /// Answers at addresses 0x60 to 0x6F at boot, one bit each: first bus in the lower half.
+    pub const BUS_ANSWERS: u16 = 0x207;
+    /// DIAAGC of the rotor sensor at boot ([`crate::motor::as5047::diagnosis`]); all ones without an answer.
+    pub const ROTOR_SENSOR: u16 = 0x208;
+    /// Level of the break input: 1 if the power stage is ready.
+    pub const BREAK_INPUT: u16 = 0x209;
+    /// Device and revision of the chip (DBGMCU_IDCODE).
+    pub const CHIP: u16 = 0x20A;
+    /// Option bytes (FLASH_OPTR).
+    pub const OPTION_BYTES: u16 = 0x20B;
+    /// Flags of the last reset (RCC_CSR).
+    pub const RESET_CAUSE: u16 = 0x20C;
 }
 
 /// Identifiers; those of the sensors are consecutive.
@@ -116,6 +128,14 @@ pub mod id {
     pub const FOOT: u16 = 0x12;
     /// See [`crate::parameters::Parameters::telemetry`].
     pub const TELEMETRY: u16 = 0x13;
+    /// Torque constant of the motor.
+    pub const TORQUE_CONSTANT: u16 = 0x14;
+    /// Inertia of rotor and what turns with it.
+    pub const INERTIA: u16 = 0x15;
+    /// Dry friction without load.
+    pub const DRY_FRICTION: u16 = 0x16;
+    /// See [`crate::parameters::Parameters::is_on_bench`].
+    pub const BENCH: u16 = 0x17;
     /// See [`crate::parameters::Parameters::settings`].
     pub const LEAD: u16 = 0x18;
     /// Pole pairs of the motor.
@@ -136,11 +156,13 @@ pub mod id {
     pub const TARE: u16 = 0x30;
 }
 
-/// Microohms in an ohm.
-pub(super) const UOHM: f64 = 1e6;
+/// Microohms in an ohm, and micronewton metres in a newton metre.
+pub(super) const MICRO: f64 = 1e6;
+/// 10^-9 kg m^2 in kg m^2.
+pub(super) const NANO: f64 = 1e9;
 
 /// Count of the parameters.
-pub const COUNT: usize = 14 + SENSORS + 2 * SENSORS;
+pub const COUNT: usize = 18 + SENSORS + 2 * SENSORS;
 
 /// All parameters.
 pub const PARAMETERS: [Parameter; COUNT] = {
@@ -211,8 +233,8 @@ pub const PARAMETERS: [Parameter; COUNT] = {
             id: id::RESISTANCE,
             name: "resistance",
             unit: "uohm",
-            default: (constants::PHASE_RESISTANCE.value * UOHM) as i32,
-            range: plausible(constants::PHASE_RESISTANCE.value * UOHM),
+            default: (constants::PHASE_RESISTANCE.value * MICRO) as i32,
+            range: plausible(constants::PHASE_RESISTANCE.value * MICRO),
             affects_motion: true,
             description: "phase resistance; measured by the device, takes effect at the next boot",
         },
@@ -246,6 +268,40 @@ pub const PARAMETERS: [Parameter; COUNT] = {
             affects_motion: true,
             ..switch(id::COMMISSIONED, "commissioned", "")
         },
+        Parameter {
+            id: id::TORQUE_CONSTANT,
+            name: "torque_constant",
+            unit: "uN m/A",
+            default: (constants::TORQUE_CONSTANT.value * MICRO) as i32,
+            range: plausible(constants::TORQUE_CONSTANT.value * MICRO),
+            affects_motion: true,
+            description: "torque constant of the motor, along q; measured by the device, takes effect at the next boot",
+        },
+        Parameter {
+            id: id::INERTIA,
+            name: "inertia",
+            unit: "1e-9 kg m^2",
+            default: (constants::ROTOR_INERTIA.value * NANO) as i32,
+            range: plausible(constants::ROTOR_INERTIA.value * NANO),
+            affects_motion: true,
+            description: "inertia of rotor, screws and coupling; measured by the device, takes effect at the next boot",
+        },
+        Parameter {
+            id: id::DRY_FRICTION,
+            name: "dry_friction",
+            unit: "uN m",
+            default: (constants::DRY_FRICTION.value * MICRO) as i32,
+            range: ValueRange::Between(0, (constants::RATED_TORQUE.value * MICRO) as i32),
+            affects_motion: true,
+            description: "dry friction without load; measured by the device, takes effect at the next boot",
+        },
+        Parameter {
+            id: id::BENCH,
+            default: 1,
+            description: "limits of the bench: supply from 10.5 V, 2 A, 10 mm/s, 20 N; the end of `magpie bringup` removes them; takes effect at the next boot",
+            affects_motion: true,
+            ..switch(id::BENCH, "bench", "")
+        },
         address(0, "address_0", address_0),
         address(1, "address_1", address_1),
         address(2, "address_2", address_2),
@@ -264,8 +320,8 @@ pub const PARAMETERS: [Parameter; COUNT] = {
 /// Values that commissioning accepts: current control with others would oscillate.
 const fn plausible(assumed: f64) -> ValueRange {
     ValueRange::Between(
-        (assumed / PLAUSIBLE_FACTOR as f64) as i32,
-        (assumed * PLAUSIBLE_FACTOR as f64) as i32,
+        (assumed / MotorParameters::PLAUSIBLE_FACTOR as f64) as i32,
+        (assumed * MotorParameters::PLAUSIBLE_FACTOR as f64) as i32,
     )
 }
 

@@ -191,8 +191,8 @@ pub enum Event {
     BusScanned {
         /// The bus.
         bus: u8,
-        /// One bit for each possible address of the sensor.
-        answers: u8,
+        /// One bit for each address from 0x60 on.
+        answers: u16,
     },
     /// A bus was recovered by nine clocks and a stop.
     BusCleared {

@@ -169,7 +169,8 @@ impl GripLoop {
         shared.supply.set(Supply::of(&inputs.motor));
         let requests = shared.requests.set(PendingRequests::NONE);
         if let Some(measure) = requests.measure {
-            pending.calibration = Some(Calibration::new(measure));
+            let torque_nm_a = shared.parameter(Parameters::torque_nm_a);
+            pending.calibration = Some(Calibration::new(measure, torque_nm_a));
         }
         let is_busy = pending.calibration.is_some();
         let outputs = tick(grip, inputs, (&requests, is_busy), shared);

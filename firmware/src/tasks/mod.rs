@@ -171,7 +171,7 @@ pub struct SharedState<M: RawMutex> {
     faults: [AtomicU32; REPORTERS],
 }
 
-/// Counters since boot.
+/// Counters since boot, and what the board is.
 #[derive(Debug, Default)]
 pub struct Counts {
     /// Failed transfers from sensors ([`sense`]).
@@ -197,6 +197,18 @@ pub struct Counts {
     pub frames_unsent: AtomicU32,
     /// Packets dropped by a queue or by the line ([`estimate`], [`transmit`], [`transmit_serial`]).
     pub packets_unsent: AtomicU32,
+    /// See [`counter::BUS_ANSWERS`] ([`sense`]).
+    pub bus_answers: AtomicU32,
+    /// See [`counter::ROTOR_SENSOR`]; this and all below are written by the board.
+    pub rotor_sensor: AtomicU32,
+    /// See [`counter::BREAK_INPUT`].
+    pub break_input: AtomicU32,
+    /// See [`counter::CHIP`].
+    pub chip: AtomicU32,
+    /// See [`counter::OPTION_BYTES`].
+    pub option_bytes: AtomicU32,
+    /// See [`counter::RESET_CAUSE`].
+    pub reset_cause: AtomicU32,
 }
 
 impl Counts {
@@ -210,6 +222,12 @@ impl Counts {
             counter::RECEIVE_OVERRUN => &self.receive_overrun,
             counter::FRAMES_UNSENT => &self.frames_unsent,
             counter::PACKETS_UNSENT => &self.packets_unsent,
+            counter::BUS_ANSWERS => &self.bus_answers,
+            counter::ROTOR_SENSOR => &self.rotor_sensor,
+            counter::BREAK_INPUT => &self.break_input,
+            counter::CHIP => &self.chip,
+            counter::OPTION_BYTES => &self.option_bytes,
+            counter::RESET_CAUSE => &self.reset_cause,
             _ => return None,
         };
         Some(count.load(Ordering::Relaxed))
@@ -256,6 +274,12 @@ impl<M: RawMutex> SharedState<M> {
                 receive_overrun: AtomicU32::new(0),
                 frames_unsent: AtomicU32::new(0),
                 packets_unsent: AtomicU32::new(0),
+                bus_answers: AtomicU32::new(0),
+                rotor_sensor: AtomicU32::new(0),
+                break_input: AtomicU32::new(0),
+                chip: AtomicU32::new(0),
+                option_bytes: AtomicU32::new(0),
+                reset_cause: AtomicU32::new(0),
             },
             parameters: LatestValue::new(Parameters::DEFAULT),
             faults: [const { AtomicU32::new(0) }; REPORTERS],

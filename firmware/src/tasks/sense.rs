@@ -25,6 +25,8 @@ use crate::tasks::{FaultReporter, SharedState};
 const MAX_LATENESS_US: u64 = 200;
 /// Delay of the first tick: the scan of the addresses takes up to 1 ms.
 pub const FIRST_TICK_US: u64 = 2_000;
+/// Addresses that are scanned: of all sensors that the drivers know, with any straps.
+const SCANNED: core::ops::RangeInclusive<u8> = 0x60..=0x6F;
 /// Ticks between two recoveries of a bus that is free but without answer, as without sensors.
 const RECOVERY_PAUSE: u8 = 100;
 
@@ -75,7 +77,12 @@ pub async fn sense<P: HallSensor, B: SensorBus, C: Clock, M: RawMutex>(
     shared.first_tick_us.set(begin_us);
     let mut first = BusReader::new(first, 0, limits);
     let mut second = BusReader::new(second, 1, limits);
-    join(first.scan::<P, C, M>(clock, shared), second.scan::<P, C, M>(clock, shared)).await;
+    let scan_end_us = begin_us.saturating_sub(TRANSFER_LIMIT_US);
+    join(
+        first.scan::<P, C, M>(scan_end_us, clock, shared),
+        second.scan::<P, C, M>(scan_end_us, clock, shared),
+    )
+    .await;
     let mut watches = [LivenessMonitor::new(limits); SENSORS];
     let mut read_back = ConfigReadback::new(limits);
     let mut faults = FaultSet::default();
@@ -216,20 +223,26 @@ impl<B: SensorBus> BusReader<B> {
         }
     }
 
-    /// Posts which addresses answer.
+    /// Posts which addresses answer. On a stuck bus each takes the longest time: the last ones are left out.
     async fn scan<P: HallSensor, C: Clock, M: RawMutex>(
         &mut self,
+        end_us: u64,
         clock: &C,
         shared: &SharedState<M>,
     ) {
         let mut answers = 0;
-        for (bit, address) in P::ADDRESSES.into_iter().enumerate() {
+        for (bit, address) in SCANNED.enumerate() {
+            if clock.now_us() > end_us {
+                break;
+            }
             let limit_us = clock.now_us().saturating_add(TRANSFER_LIMIT_US);
             let attempt = pin!(self.attempt(address, reading::<P>(), limit_us, clock));
             let answer = polled_at([pin!(clock.until(limit_us))], attempt).await;
-            answers |= u8::from(answer) << bit;
+            answers |= u16::from(answer) << bit;
         }
         let bus = self.number;
+        let both = u32::from(answers) << (16 * u32::from(bus));
+        shared.counts.bus_answers.fetch_or(both, Ordering::Relaxed);
         shared.events.post(Event::BusScanned { bus, answers });
     }
 

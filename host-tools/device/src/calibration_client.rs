@@ -324,6 +324,12 @@ const fn failure_text(failure: CalibrationFailure) -> &'static str {
         CalibrationFailure::CurrentSense => {
             "the measured currents do not turn with the field: exchange the current senses of V and W, or the poles of a shunt"
         }
+        CalibrationFailure::TorqueConstant => {
+            "the torque constant is not plausible: check the motor's type and the rotor sensor's magnet"
+        }
+        CalibrationFailure::Inertia => {
+            "the inertia is not plausible: check the coupling, and that nothing brakes the rotor"
+        }
     }
 }
 

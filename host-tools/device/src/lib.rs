@@ -10,6 +10,7 @@
 //! - [`key_file`]: the key that a gripper and its hosts share.
 //! - [`reader`]: a transport read in its own thread.
 //! - [`calibration_client`]: upload of calibrations, and what is on a gripper.
+//! - [`bringup`]: the first power-up of a board, step by step.
 //! - [`params_client`]: reading and writing parameters.
 //! - [`state`]: latest state of a gripper, recent forces, extended board clock.
 //! - [`view`], [`mod@format`]: the state on a terminal, as a line of text, as JSON.
@@ -20,6 +21,7 @@
 //! - [`recorder`]: assembly of rows, writing of a recording, and the ranges that it covers.
 
 pub mod board_topics;
+pub mod bringup;
 pub mod calibration_client;
 pub mod control;
 pub mod csv_writer;

@@ -9,7 +9,7 @@ use device::params_client;
 use device::source::Source;
 use device::state::GripperState;
 use firmware::estimator::Validity;
-use firmware::parameters::schema::id;
+use firmware::parameters::schema::{counter, id};
 use report::text::terminal;
 use serde_json::json;
 
@@ -47,10 +47,18 @@ pub fn run(args: &Args) -> Result<()> {
         2 => "backdrivable",
         _ => "unknown",
     };
+    let is_on_bench = params_client::read(source.as_mut(), id::BENCH)? == 1;
+    let [chip, options, reset] = [counter::CHIP, counter::OPTION_BYTES, counter::RESET_CAUSE]
+        .map(|id| params_client::read(source.as_mut(), id).map(|value| value as u32));
+    let [chip, options, reset] = [chip?, options?, reset?];
     terminal::print_result(
         args.json,
         || {
             json!({
+                "bench": is_on_bench,
+                "chip": format!("{chip:08x}"),
+                "option_bytes": format!("{options:08x}"),
+                "reset_flags": format!("{reset:08x}"),
                 "calibration": running,
                 "missing_inputs": incomplete,
                 "motor": if is_commissioned { "measured" } else { "assumed" },
@@ -62,14 +70,17 @@ pub fn run(args: &Args) -> Result<()> {
         },
         || {
             text(&running, &incomplete)
-                + &drive_text(is_commissioned, screw)
+                + &drive_text(is_commissioned, is_on_bench, screw)
+                + &format!(
+                    "chip         {chip:08x}, option bytes {options:08x}, reset flags {reset:08x}\n"
+                )
                 + key_text(&state)
                 + &state_text(&state)
         },
     )
 }
 
-fn drive_text(is_commissioned: bool, screw: &str) -> String {
+fn drive_text(is_commissioned: bool, is_on_bench: bool, screw: &str) -> String {
     let motor = if is_commissioned {
         "measured"
     } else {
@@ -79,7 +90,12 @@ fn drive_text(is_commissioned: bool, screw: &str) -> String {
         "unknown" => "unknown, treated as backdrivable (`cargo magpie identify screw`)",
         known => known,
     };
-    format!("motor        {motor}\nscrew        {screw}\n")
+    let limits = if is_on_bench {
+        "of the bench: 2 A, 10 mm/s, 20 N (`cargo magpie bringup`)"
+    } else {
+        "of the gripper"
+    };
+    format!("motor        {motor}\nscrew        {screw}\nlimits       {limits}\n")
 }
 
 fn state_text(state: &GripperState) -> String {

@@ -13,8 +13,8 @@ use crate::commands::connection::PortArgs;
 /// Measure the motor or the screw of a gripper; THE FINGERS MOVE.
 ///
 /// Once after assembly: without it, motor constants are assumed, and the screw counts as backdrivable: a fault that switches
-/// the current off is then expected to drop the part. The gripper must be disabled. `motor` measures windings, phase order
-/// and rotor sensor: nothing may be gripped, and the fingers need room. `screw` grips a part with 2 A, up to 150 N with the assumed motor, takes
+/// the current off is then expected to drop the part. The gripper must be disabled. `motor` measures windings, phase order,
+/// rotor sensor, torque constant, inertia and friction: nothing may be gripped, and the fingers need room. `screw` grips a part with 2 A, up to 150 N with the assumed motor, takes
 /// the current away and observes whether the fingers yield: a rigid part must be between the fingers, at most 20 mm narrower
 /// than their opening. Forces, faults and stops end either.
 #[derive(Debug, clap::Args)]
@@ -38,19 +38,22 @@ pub struct Args {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Measured {
-    /// Windings, phase order, rotor sensor.
+    /// Windings, phase order, rotor sensor, torque constant, inertia, friction.
     Motor,
     /// Whether the screw is self-locking.
     Screw,
 }
 
 /// Motor parameters as they are shown: identifier, name, unit, units in a count.
-const MOTOR: [(u16, &str, &str, f64); 5] = [
+const MOTOR: [(u16, &str, &str, f64); 8] = [
     (id::RESISTANCE, "phase resistance", "ohm", 1e-6),
     (id::INDUCTANCE, "phase inductance", "mH", 1e-6),
     (id::POLE_PAIRS, "pole pairs", "", 1.0),
     (id::ROTOR_OFFSET, "offset of the rotor sensor", "turns", 1.0 / 65536.0),
     (id::SWAPPED, "phases V and W swapped (1: yes)", "", 1.0),
+    (id::TORQUE_CONSTANT, "torque constant", "N m/A", 1e-6),
+    (id::INERTIA, "inertia", "g cm^2", 1e-2),
+    (id::DRY_FRICTION, "dry friction", "mN m", 1e-3),
 ];
 
 /// Runs the command.

@@ -4,6 +4,7 @@ pub mod args;
 pub mod bench;
 pub mod benchmark;
 pub mod board;
+pub mod bringup;
 pub mod compare;
 pub mod connection;
 pub mod dbc;
@@ -68,6 +69,7 @@ enum Command {
     Export(export::Args),
     Upload(upload::Args),
     Board(board::Args),
+    Bringup(bringup::Args),
     Tare(tare::Args),
     Identify(identify::Args),
     Parameter(parameter::Args),
@@ -114,6 +116,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Command::Export(args) => export::run(&args),
         Command::Upload(args) => upload::run(&args),
         Command::Board(args) => board::run(&args),
+        Command::Bringup(args) => bringup::run(&args),
         Command::Tare(args) => tare::run(&args),
         Command::Identify(args) => identify::run(&args),
         Command::Parameter(args) => parameter::run(&args),

@@ -6,7 +6,8 @@ use std::sync::atomic::Ordering;
 use firmware::config::constants::TICK_US;
 use firmware::grip::commands::mode;
 use firmware::grip::states::{PowerState, TaskState};
-use firmware::parameters::Backdrivability;
+use firmware::motor::as5047;
+use firmware::parameters::{Backdrivability, Parameters};
 use firmware::protocol;
 use firmware::protocol::messages::{Command, FaultEvent};
 use firmware::protocol::session::{op, status};
@@ -15,6 +16,7 @@ use firmware::tasks::FIRST_TICK_US;
 use rayon::prelude::*;
 use sim::board::forger::Forger;
 use sim::closed_loop::grasp_rig::{contact_object, grip_command};
+use sim::closed_loop::motor_rig::MotorRig;
 use sim::closed_loop::{ClosedLoop, ClosedLoopSetup};
 use sim::drivetrain::parameters::Lead;
 
@@ -184,6 +186,51 @@ fn hold_survives_loss_of_sensors_host_or_bus() {
     }
 }
 
+/// A host that pauses and comes back has its object, and needs nothing but its next command. After a long pause its session is over.
+#[test]
+fn host_that_pauses_during_a_hold_goes_on_with_its_next_command() {
+    for lead in Lead::BOTH {
+        for pause_s in [0.05, 0.2, 1.0, 5.0] {
+            let cell = &mut gripping(lead);
+            cell.host.is_silent = true;
+            cell.run(pause_s);
+            assert!((cell.force_n() - SET_N).abs() < 3.0, "{lead:?} {pause_s}: {}", cell.force_n());
+            cell.host.is_silent = false;
+            let open =
+                Command { mode: mode::RELEASE, position: 1200, speed: 160, ..Command::default() };
+            cell.host.order(open);
+            let took_s =
+                cell.until(3.0, |cell| cell.force_n() == 0.0 && cell.is_in(TaskState::Idle));
+            assert!(took_s.is_some(), "{lead:?} {pause_s}: {}", cell.state());
+        }
+    }
+}
+
+/// Each 30th angle is off by 50 degrees, as by a disturbed frame with a valid parity: it is bridged.
+#[test]
+fn single_wrong_angles_do_not_disturb_motion_and_hold() {
+    for lead in Lead::BOTH {
+        let cell = &mut before_object(lead);
+        let mut frames = 0_u32;
+        cell.gripper.borrow_mut().errors.frame = Some(Box::new(move |frame| {
+            frames += 1;
+            let off = (50.0 / 360.0 * 16_384.0) as u16;
+            let angle = frame & as5047::DATA;
+            if frames.is_multiple_of(30) { as5047::answer(angle.wrapping_add(off)) } else { frame }
+        }));
+        cell.host.order(grip_command(SET_N));
+        let held = cell.until(3.0, |cell| cell.is_in(TaskState::HoldActive));
+        assert!(held.is_some(), "{lead:?}: {}", cell.state());
+        cell.gripper.borrow_mut().peak_n = 0.0;
+        for _ in 0..1000 {
+            cell.tick();
+            assert!((cell.force_n() - SET_N).abs() < 3.0, "{lead:?}: {}", cell.force_n());
+        }
+        let faults = &cell.host.received.faults;
+        assert!(faults.is_empty(), "{lead:?}: {faults:?}");
+    }
+}
+
 /// Waits for the reply to a service.
 fn service_reply(cell: &mut ClosedLoop, op: u8, argument: u32) -> Option<(u8, u32)> {
     let before = cell.host.received.replies.len();
@@ -220,6 +267,51 @@ fn commissioning_identifies_motor_and_screw() {
         assert!(cell.enable());
         assert_eq!(service_reply(cell, op::MEASURE, 0), Some((status::ARMED, 0)));
     }
+}
+
+/// Torque constant and inertia are far from what is assumed. The first power-up has a supply of 12 V and the limits of the bench;
+/// then the gripper homes with what was measured, there and with the limits of the gripper at 24 V.
+#[test]
+fn gripper_homes_with_any_motor_once_it_is_measured() {
+    let cases: Vec<(f64, f64)> =
+        [0.4, 1.0, 2.5].into_iter().flat_map(|torque| [0.3, 3.0].map(|j| (torque, j))).collect();
+    // Not first within one of the tasks, which would wait for each other.
+    let tables = nominal_tables();
+    cases.into_par_iter().for_each(|(torque_share, inertia_share)| {
+        let mut setup = ClosedLoopSetup::nominal(Lead::A, 3.0, 1);
+        setup.is_homed = false;
+        setup.plant.windings.flux_wb *= torque_share;
+        setup.plant.rotor.inertia_kg_m2 *= inertia_share;
+        let mut parameters = Parameters::DEFAULT;
+        for (volts, on_bench) in [(12.0, true), (24.0, false)] {
+            setup.plant.supply.voltage_v = volts;
+            setup.grasp = parameters.grip_limits();
+            let cell = &mut ClosedLoop::new(&setup, tables);
+            let settings = parameters.settings();
+            cell.gripper.borrow_mut().rig = MotorRig::with_settings(settings, setup.plant, 3.0, 1);
+            cell.run(0.05);
+            if on_bench {
+                assert_eq!(service_reply(cell, op::MEASURE, 0), Some((status::DONE, 0)));
+                let machine = cell.board.exchange.parameters().settings().machine;
+                let found = [machine.torque_nm_a / 0.1, machine.inertia_kg_m2 / 6e-5];
+                println!("{torque_share} {inertia_share}: {found:?}, {:.4} N m", machine.dry_nm);
+                let [torque, inertia] = found.map(f64::from);
+                assert!((torque / torque_share - 1.0).abs() < 0.1, "{torque}");
+                assert!((inertia / inertia_share - 1.0).abs() < 0.2, "{inertia}");
+                parameters = cell.board.exchange.parameters();
+            }
+            assert!(cell.enable(), "{}", cell.state());
+            cell.host.order(Command { mode: mode::HOME, ..Command::default() });
+            let took_s = cell.until(30.0, |cell| cell.is_in(TaskState::Idle));
+            let faults = &cell.host.received.faults;
+            let state = cell.state();
+            println!("{torque_share} {inertia_share} at {volts} V: {took_s:?} s");
+            assert!(
+                took_s.is_some() && faults.is_empty(),
+                "{torque_share} {inertia_share} at {volts} V: {state} {faults:?}"
+            );
+        }
+    });
 }
 
 #[test]

@@ -3,6 +3,7 @@
 
 mod boards;
 mod boot;
+mod bringup;
 mod buses;
 mod calibration;
 mod covariates;
@@ -69,6 +70,7 @@ fn main() -> ExitCode {
     trials.extend(supervision::trials());
     trials.extend(faults::trials());
     trials.extend(silicon::trials());
+    trials.extend(bringup::trials(effort));
     trials.extend(scenarios::trials());
     trials.extend(motion::trials(effort));
     trials.extend(covariates::trials());

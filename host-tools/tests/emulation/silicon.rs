@@ -5,7 +5,6 @@ use emulator::Frequency;
 use emulator::wiring::Wiring;
 use firmware::config::constants::MODULATION;
 use firmware::grip::commands::mode;
-use firmware::motor::calibration::{CalibrationFailure, CalibrationKind};
 use firmware::protocol::messages::{Command, Message};
 use firmware::protocol::serial::{Packet, PacketDecoder};
 use firmware::protocol::session::{op, status};
@@ -24,12 +23,11 @@ use crate::motion::{Cell, cell, homed, move_to};
 type Test = fn() -> Result<(), Failed>;
 
 pub fn trials() -> Vec<Trial> {
-    let tests: [(&str, Test); 9] = [
+    let tests: [(&str, Test); 8] = [
         ("silicon_log_reader_stops_no_tick_is_missed", log_reader_stops),
         ("silicon_debugger_halts_core_bridges_are_off", debugger_halts),
         ("silicon_temperatures_after_pauses_are_right", temperatures),
         ("silicon_full_modulation_samples_are_valid", full_modulation),
-        ("silicon_exchanged_current_senses_end_commissioning", exchanged_senses),
         ("silicon_spurious_bus_errors_no_transfer_is_lost", spurious_bus_errors),
         ("silicon_dead_crystal_is_reported", dead_crystal),
         ("silicon_direct_current_is_zero_in_both_directions", direct_current),
@@ -102,22 +100,6 @@ fn full_modulation() -> Result<(), Failed> {
     println!("duty at most {most:.3}");
     assert!(most > MODULATION.value - 0.002, "not driven to the limit: {most}");
     assert_eq!(violations(&cell.board), [""; 0]);
-    Ok(())
-}
-
-/// The vector of the currents is not along that of the voltage: no result is stored, and the motor is off.
-fn exchanged_senses() -> Result<(), Failed> {
-    let mut cell = cell(40.0)?;
-    cell.run(0.4);
-    cell.gripper.borrow_mut().errors.counts = Some(Box::new(|[u, v, w, bus]| [u, w, v, bus]));
-    cell.host.received.replies.clear();
-    cell.host.service(op::MEASURE, CalibrationKind::Motor as u32);
-    cell.until(5.0, |cell| !cell.host.received.replies.is_empty());
-    let reply = cell.host.received.replies.first().map(|(_, reply)| *reply).ok_or("no reply")?;
-    assert_eq!(
-        (reply.op, reply.status, reply.detail),
-        (op::MEASURE, status::FAILED, CalibrationFailure::CurrentSense as u32)
-    );
     Ok(())
 }
 

@@ -91,9 +91,9 @@ pub fn guard_stack() {
     cortex_m::asm::isb();
 }
 
-/// Number of this boot, and the crash that ended the previous run. Must be called once, directly after
+/// Number of this boot, the flags of its cause, and the crash that ended the previous run. Must be called once, directly after
 /// [`crate::board::Bsp::init`].
-pub fn take_record() -> (u32, Option<Crash>) {
+pub fn take_record() -> (u32, u32, Option<Crash>) {
     // SAFETY: any bits are words.
     let (mut record, mut boots) = unsafe { (RECORD.read(), BOOTS.read()) };
     let boot = crash::count_boot(&mut boots);
@@ -106,7 +106,7 @@ pub fn take_record() -> (u32, Option<Crash>) {
     let expired = cause
         .iwdgrstf()
         .then(|| Crash { boot: boot.saturating_sub(1), ..Crash::new(CrashKind::Watchdog) });
-    (boot, recorded.or(expired))
+    (boot, cause.0, recorded.or(expired))
 }
 
 /// Writes the record.

@@ -5,6 +5,7 @@
 
 use core::cell::UnsafeCell;
 use core::mem::MaybeUninit;
+use core::sync::atomic::{AtomicU32, Ordering};
 
 use embassy_stm32::interrupt::{self, InterruptExt, Priority};
 use embassy_stm32::{Peri, peripherals};
@@ -53,6 +54,9 @@ pub struct Parts {
     /// Its pins.
     pub sensor: SpiPins,
 }
+
+/// What the rotor sensor says of its magnet at the start ([`crate::parameters::schema::counter::ROTOR_SENSOR`]).
+pub static ROTOR_SENSOR: AtomicU32 = AtomicU32::new(u32::MAX);
 
 /// Queue of orders to the motion loop.
 pub struct Orders(Writer<MotorCommand, ORDERS>);
@@ -143,6 +147,8 @@ fn start(parts: Parts, settings: Settings) -> (Orders, StatusReports) {
         // The current loop reports it.
         defmt::warn!("no valid answer of the rotor sensor");
     }
+    let diagnosis = sensor.diagnose(&mut Delay).map_or(u32::MAX, u32::from);
+    ROTOR_SENSOR.store(diagnosis, Ordering::Relaxed);
     let inner = CurrentLoopState {
         inner: CurrentLoop::new(settings),
         currents: PhaseCurrents::start(parts.converter, parts.inputs),

@@ -66,6 +66,11 @@ impl Stage {
         Self { is_on: false }
     }
 
+    /// Level of the break input: true if the power stage is ready.
+    pub fn is_ready() -> bool {
+        pac::GPIOB.idr().read().idr(12) == pac::gpio::vals::Idr::HIGH
+    }
+
     /// Whether the break input has switched the outputs off since the stage was last switched on.
     pub fn is_broken(&self) -> bool {
         self.is_on && !TIMER.bdtr().read().moe()

@@ -9,19 +9,23 @@
 //!
 //! Each level preempts those below it. Nothing above thread mode writes to the log.
 
+use core::sync::atomic::Ordering;
+
 use defmt::info;
 use embassy_executor::{InterruptExecutor, SpawnError, SpawnToken, Spawner};
 use embassy_stm32::interrupt::{self, InterruptExt, Priority};
+use embassy_stm32::pac;
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embedded_hal::digital::InputPin;
 use static_cell::StaticCell;
 
 use crate::board::selected::calibration_memory;
 use crate::board::selected::clock::BoardClock;
-use crate::board::selected::{NucleoG474, crash};
+use crate::board::selected::pwm::Stage;
+use crate::board::selected::{NucleoG474, crash, drive};
 use crate::board::{Bsp, MotorDrive, MotorMonitor, Peripherals, Thermometer, Watchdog};
 use crate::clock::Clock;
-use crate::config::limits::{DetectionLimits, GripLimits};
+use crate::config::limits::DetectionLimits;
 use crate::estimator::{Estimator, NetworkBank};
 use crate::grip::GripController;
 use crate::model::calibration::Payload;
@@ -35,7 +39,9 @@ use crate::system::faults::Event;
 use crate::system::nv_storage::ParameterStore;
 use crate::system::nv_storage::calibration::CalibrationSlots;
 use crate::system::task_watchdog::FEED_PERIOD_MS;
-use crate::tasks::calibration::{CalibrationService, LinkedCalibration, load_calibration};
+use crate::tasks::calibration::{
+    CalibrationOrigin, CalibrationService, LinkedCalibration, load_calibration,
+};
 use crate::tasks::{self, GripInputs, GripLoop, HostService, SharedState};
 
 defmt::timestamp!("{=u64:us}", embassy_time::Instant::now().as_micros());
@@ -93,7 +99,7 @@ pub fn start(spawner: Spawner) {
 #[embassy_executor::task]
 async fn begin(spawner: Spawner, board: Peripherals<B>) {
     let shared: Shared = &*crash::once(SHARED.try_init_with(SharedState::new));
-    let (boot, crash) = crash::take_record();
+    let (boot, cause, crash) = crash::take_record();
     if let Some(crash) = &crash {
         shared.record_crash(crash);
     }
@@ -106,12 +112,27 @@ async fn begin(spawner: Spawner, board: Peripherals<B>) {
         load_calibration(&slots, store.flash(), calibration_memory::take(), &linked).await;
     let calibration: &'static Calibration = &*crash::once(CALIBRATION.try_init(calibration));
     let tables = &calibration.tables;
-    info!("start {}, tables {:04x}, {} sensors", boot, tables.id, tables.sensors.len());
     let parameters = shared.parameters();
+    info!("start {}, tables {:04x}, {} sensors", boot, tables.id, tables.sensors.len());
+    let (chip, options) = (pac::DBGMCU.idcode().read().0, pac::FLASH.optr().read().0);
+    info!("chip {:08x}, option bytes {:08x}, reset flags {:08x}", chip, options, cause);
+    // Code 3: without a crystal the core runs from its own oscillator.
+    let wrong = board.configuration_defect.unwrap_or_default();
+    info!("core 160 MHz, defect of the configuration {}", wrong);
+    let is_uploaded = matches!(origin, CalibrationOrigin::Stored(_));
+    let (is_measured, is_on_bench) = (parameters.is_commissioned(), parameters.is_on_bench());
+    info!("calibration uploaded: {}, motor measured: {}", is_uploaded, is_measured);
+    info!("limits of the bench: {}", is_on_bench);
+    let counts = &shared.counts;
+    counts.chip.store(chip, Ordering::Relaxed);
+    counts.option_bytes.store(options, Ordering::Relaxed);
+    counts.reset_cause.store(cause, Ordering::Relaxed);
     let settings = parameters.settings();
     let node = parameters.node();
     board.can_tx.accept_node(node);
     let (motor_port, motor_status) = board.drive.start(settings);
+    let rotor_sensor = drive::ROTOR_SENSOR.load(Ordering::Relaxed);
+    counts.rotor_sensor.store(rotor_sensor, Ordering::Relaxed);
     interrupt::FMAC.set_priority(CONTROL_PRIORITY);
     let executor = CONTROL.start(interrupt::FMAC);
     executor.spawn(once(control(shared, calibration, settings.screw, motor_port, motor_status)));
@@ -169,8 +190,9 @@ async fn control(
     mut motor_status: <Drive as MotorDrive>::Monitor,
 ) {
     let mut estimator = estimator(calibration);
-    let is_self_locking = shared.parameters().backdrivability() == Backdrivability::SelfLocking;
-    let mut grip = GripController::new(GripLimits::GRIPPER, screw, is_self_locking);
+    let parameters = shared.parameters();
+    let is_self_locking = parameters.backdrivability() == Backdrivability::SelfLocking;
+    let mut grip = GripController::new(parameters.grip_limits(), screw, is_self_locking);
     let mut state = GripLoop::default();
     let grip = |inputs: &GripInputs| state.step(&mut grip, inputs, &mut motor, shared);
     let motor_status = || motor_status.poll();
@@ -189,7 +211,11 @@ async fn feed(shared: Shared, mut watchdog: <B as Bsp>::Watchdog) {
 
 #[embassy_executor::task]
 async fn temperatures(shared: Shared, mut thermometer: <B as Bsp>::Thermometer) {
-    tasks::temperatures::temperatures(|| thermometer.measure(), &BoardClock, shared).await;
+    let measure = || {
+        shared.counts.break_input.store(Stage::is_ready().into(), Ordering::Relaxed);
+        thermometer.measure()
+    };
+    tasks::temperatures::temperatures(measure, &BoardClock, shared).await;
 }
 
 #[embassy_executor::task]
@@ -240,7 +266,7 @@ async fn host_service(
 
 fn log(event: Event) {
     match event {
-        Event::BusScanned { bus, answers } => info!("bus {}: answers {:04b}", bus, answers),
+        Event::BusScanned { bus, answers } => info!("bus {}: answers {:016b}", bus, answers),
         Event::InertialSensor { is_present } => info!("inertial sensor present: {}", is_present),
         Event::BusCleared { bus, free } => info!("bus {} cleared, free {}", bus, free),
         Event::Fault(fault) => {

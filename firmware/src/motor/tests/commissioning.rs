@@ -7,12 +7,13 @@ use crate::motor::*;
 
 #[test]
 fn commissioning_identifies_motor_and_wiring() {
-    for (pole_pairs, swapped, offset) in
-        [(7.0, false, 0.013), (7.0, true, 0.4), (11.0, false, 0.77)]
+    for (pole_pairs, swapped, offset, torque_share, inertia_share) in
+        [(7.0, false, 0.013, 1.0, 1.0), (7.0, true, 0.4, 2.5, 0.3), (11.0, false, 0.77, 0.4, 3.0)]
     {
         let mut model = MotorModel::new();
         (model.pole_pairs, model.swapped, model.offset) = (pole_pairs, swapped, offset);
-        model.flux = 0.1 / (1.5 * pole_pairs);
+        let (torque, inertia) = (0.1 * torque_share, 6e-5 * inertia_share);
+        (model.flux, model.inertia) = (torque / (1.5 * pole_pairs), inertia);
         (model.resistance, model.inductance) = (0.5, 0.3e-3);
         model.angle = 0.21;
         // An earlier wiring has no effect.
@@ -20,7 +21,7 @@ fn commissioning_identifies_motor_and_wiring() {
         settings.wiring.is_swapped = offset > 0.3;
         let mut motor = Motor::new(settings);
         motor.handle_command(MotorCommand::Commission);
-        model.run(&mut motor, 60_000, |_, _| {});
+        model.run(&mut motor, 140_000, |_, _| {});
         let identified = motor.identification().unwrap_or_else(|| panic!("{:?}", motor.status()));
         std::println!("{identified:?}");
         assert_eq!(
@@ -29,6 +30,10 @@ fn commissioning_identifies_motor_and_wiring() {
         );
         assert!((identified.resistance_ohm / 0.5 - 1.0).abs() < 0.03, "{identified:?}");
         assert!((identified.inductance_h / 0.3e-3 - 1.0).abs() < 0.05, "{identified:?}");
+        let error = |found: f32, is: f64| (f64::from(found) / is - 1.0).abs();
+        assert!(error(identified.torque_nm_a, torque) < 0.05, "{identified:?}");
+        assert!(error(identified.inertia_kg_m2, inertia) < 0.1, "{identified:?}");
+        assert!(error(identified.dry_nm, 0.02) < 0.3, "{identified:?}");
         // With the identified motor, the torque has the requested sign and size.
         motor.handle_command(MotorCommand::Arm);
         model.run(&mut motor, 600, |_, _| {});
@@ -47,7 +52,7 @@ fn commissioning_reports_the_defect() {
         defect(&mut model);
         let mut motor = Motor::new(Settings::assumed(Screw::A));
         motor.handle_command(MotorCommand::Commission);
-        model.run(&mut motor, 60_000, |_, _| {});
+        model.run(&mut motor, 100_000, |_, _| {});
         assert_eq!(model.drive, BridgeCommand::Off);
         match motor.status().state {
             MotorState::CommissioningFailed(refusal) => refusal,

@@ -109,11 +109,14 @@ fn check_loads_one_of(flash: &mut FlashModel, possible: &[Parameters], case: &st
     }
     let next = parameters(399);
     assert_eq!(save(flash, &next), Ok(()), "{case}");
-    for _ in 0..4 {
-        let last = load(flash);
+    // What a cut has left beside the new values may read as a record or not, until the save of one more boot replaces it.
+    let is_unsettled = |_: &u32| {
+        let last = boot(flash);
         assert_eq!(last.parameters, next, "{case}: save lost");
-        assert!(last.is_settled, "{case}");
-    }
+        !last.is_settled
+    };
+    let unsettled = (0..4).filter(is_unsettled).count();
+    assert!(unsettled <= 1, "{case}: {unsettled} boots");
     let rewritten = flash.rewritten;
     assert_eq!(rewritten, 0, "{case}: writes to torn words");
 }

@@ -41,6 +41,8 @@ pub struct SensingErrors {
     pub counts: Option<CountsTransform>,
     /// The rotor is locked.
     pub is_jammed: bool,
+    /// The rotor sensor has no magnet: its angle is arbitrary.
+    pub has_no_magnet: bool,
 }
 
 /// Maps ADC counts to modified counts.
@@ -80,6 +82,8 @@ pub struct SimulatedGripper {
     pub towards_first: f64,
     /// Landings, on the plant's time.
     pub impacts: Vec<Impact>,
+    /// Forces that press the fingers outwards, as an object between them would, in newtons.
+    pub pressed_n: [f64; 2],
     /// Test bench that loads the fingertips and moves the gripper.
     pub bench: Option<Rc<BenchProgramme>>,
     /// Peak true grip force in newtons, since its last reset.
@@ -118,6 +122,7 @@ impl SimulatedGripper {
             errors: SensingErrors::default(),
             towards_first: 0.0,
             impacts: Vec::new(),
+            pressed_n: [0.0; 2],
             bench: None,
             peak_n: 0.0,
             outward_peak_n: 0.0,
@@ -146,6 +151,7 @@ impl SimulatedGripper {
             errors: SensingErrors::default(),
             towards_first: self.towards_first,
             impacts: self.impacts.clone(),
+            pressed_n: self.pressed_n,
             bench: self.bench.clone(),
             peak_n: self.peak_n,
             outward_peak_n: self.outward_peak_n,
@@ -214,6 +220,10 @@ impl SimulatedGripper {
             let time_s = self.rig.plant.time_s();
             let ground_n = self.ground_n(time_s);
             let mut forces_n = distribute_forces(grip_n, self.towards_first, ground_n);
+            let (first, second) = forces_n.split_at_mut(2);
+            let [outwards_n, opposite_n] = self.pressed_n;
+            first.iter_mut().for_each(|[lateral_n, _]| *lateral_n += 0.5 * outwards_n);
+            second.iter_mut().for_each(|[lateral_n, _]| *lateral_n -= 0.5 * opposite_n);
             self.specific_force = Vector3::new(0.0, 0.0, GRAVITY);
             if let Some(bench) = &self.bench {
                 for (sensor, force_n) in forces_n.iter_mut().enumerate() {
@@ -338,10 +348,14 @@ const READ: u16 = 1 << 14;
 const ADDRESS: u16 = 0x3FFF;
 const ERROR_FLAG: u16 = 1 << 14;
 const PARITY: u16 = 1 << 15;
-/// Registers NOP, ERRFL, ANGLECOM; the sensor has more.
+/// Registers NOP, ERRFL, DIAAGC, ANGLECOM; the sensor has more.
 const NO_OPERATION: u16 = 0x0000;
 const ERROR_REGISTER: u16 = 0x0001;
+const DIAGNOSIS_REGISTER: u16 = 0x3FFC;
 const ANGLE_REGISTER: u16 = 0x3FFF;
+/// Of DIAAGC: MAGL; and the gain for a usual field.
+const MAGNET_WEAK: u16 = 1 << 11;
+const USUAL_GAIN: u16 = 110;
 
 impl RotorSensor {
     /// Executes the last command: its answer is that of the next frame.
@@ -356,7 +370,14 @@ impl RotorSensor {
         }
         let flag = if *errors == 0 { 0 } else { ERROR_FLAG };
         let data = match command & ADDRESS {
+            ANGLE_REGISTER if gripper.errors.has_no_magnet => {
+                gripper.rig.plant.angle().wrapping_mul(0x2F35)
+            }
             ANGLE_REGISTER => gripper.rig.plant.angle(),
+            DIAGNOSIS_REGISTER if gripper.errors.has_no_magnet => {
+                as5047::diagnosis::READY | MAGNET_WEAK | as5047::diagnosis::GAIN
+            }
+            DIAGNOSIS_REGISTER => as5047::diagnosis::READY | USUAL_GAIN,
             // Reading it clears it.
             ERROR_REGISTER => std::mem::take(errors),
             NO_OPERATION => 0,

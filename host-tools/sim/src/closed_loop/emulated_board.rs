@@ -1,18 +1,24 @@
 //! The firmware's image in an emulated chip, with the same connections and gripper as the tasks in virtual time: boot,
 //! drivers, interrupts, DMA, execution times and stack are those of the image.
 
+use crate::board::flash::{CALIBRATIONS, Flash};
 use crate::board::inertial::InertialPins;
 use crate::board::world::World;
 use crate::board::{Connections, SimulatedBoard};
 use crate::closed_loop::coupling::{PowerStagePins, RotorSensor, SharedGripper};
 use anyhow::{Context, Result};
 use emulator::log::LogLine;
+use emulator::peripherals::flash::BANK;
 use emulator::wiring::Wiring;
 use emulator::{Chip, CycleModel, Devices, Frequency, Image, Options, Time};
 use firmware::grip::redundant_copy::COPY_WORDS;
+use firmware::parameters::Parameters;
+use firmware::parameters::schema::id;
 use firmware::protocol::messages::FaultEvent;
 use firmware::protocol::serial::{Packet, PacketDecoder};
 use firmware::system::faults::Event;
+use firmware::system::nv_storage::ParameterStore;
+use futures::executor::block_on;
 
 /// Properties that vary between chips.
 #[derive(Clone, Copy, Debug)]
@@ -62,7 +68,7 @@ pub struct EmulatedBoard {
 }
 
 impl EmulatedBoard {
-    /// Programs an image into a chip and switches it on, with a world and a gripper.
+    /// Programs an image into a chip and switches it on, with a world and a gripper. The limits of the bench were removed before.
     ///
     /// # Errors
     /// The chip does not start from flash.
@@ -80,6 +86,36 @@ impl EmulatedBoard {
     /// # Errors
     /// As [`Self::start`].
     pub fn wired(
+        image: Image,
+        conditions: ChipConditions,
+        wiring: Wiring,
+        world: Box<dyn World>,
+        gripper: SharedGripper,
+    ) -> Result<Self> {
+        let mut board = Self::unused(image, conditions, wiring, world, gripper)?;
+        let mut parameters = Parameters::DEFAULT;
+        // The value is in its range.
+        let _ = parameters.set(id::BENCH, 0);
+        board.store(&parameters);
+        Ok(board)
+    }
+
+    /// Stores parameters as if they had been saved before the chip was switched on.
+    pub fn store(&mut self, parameters: &Parameters) {
+        let flash = Flash::default();
+        // Cannot fail on an empty flash.
+        let _ = block_on(ParameterStore::new(flash.clone(), 0).save(parameters));
+        let mut pages = flash.bytes();
+        pages.truncate(CALIBRATIONS as usize);
+        // In the last pages of the flash (memory.x).
+        self.chip.soc.load_flash(2 * BANK - pages.len(), &pages);
+    }
+
+    /// As [`Self::wired`], never operated: without stored parameters, and so with the limits of the bench.
+    ///
+    /// # Errors
+    /// As [`Self::start`].
+    pub fn unused(
         image: Image,
         conditions: ChipConditions,
         wiring: Wiring,

@@ -9,7 +9,10 @@ use anyhow::{Result, bail};
 use device::control::log::LineFormat;
 use device::control::session::{Outcome, Session};
 use device::control::{Request, SessionOptions};
+use device::params_client;
+use firmware::config::limits::GripLimits;
 use firmware::grip::commands::GripProfile;
+use firmware::parameters::schema::id;
 use report::text::terminal;
 use serde_json::json;
 
@@ -92,7 +95,19 @@ fn session(args: &Args) -> Result<Session> {
         hold_s: args.seconds,
         keep: args.keep,
     };
-    let source = args.port.open_given()?;
+    let mut source = args.port.open_given()?;
+    // Older firmware has no such limits; a gripper that does not answer is reported by the session.
+    if args.force.is_some_and(|force_n| force_n > f64::from(GripLimits::BENCH_N))
+        && params_client::read(source.as_mut(), id::BENCH).is_ok_and(|bench| bench == 1)
+    {
+        let port = args.port.words();
+        bail!(
+            "{}: the gripper grips with at most {} N, as its bring-up is not signed off: `cargo magpie bringup {port}`; \
+             to do without, `cargo magpie parameter bench 0 {port} --save` and restart it",
+            source.name(),
+            GripLimits::BENCH_N
+        );
+    }
     Ok(Session::new(source, args.port.credentials()?, options, interrupted()?))
 }
 
