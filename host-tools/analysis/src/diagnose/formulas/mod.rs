@@ -269,7 +269,7 @@ pub fn equivalent_formulas(
     Ok(found.formulas)
 }
 
-/// Replaces formulas by effects of the catalogue that do the same and explain as much: next to another cause an effect may not have
+/// Replaces formulas by effects of the catalogue that do the same and explain as much with no more parameters, or more: next to another cause an effect may not have
 /// lowered the error. Where structure remains, the formulas are approximations, and so would be the effects.
 fn name_formulas(
     setup: &FitSetup,
@@ -301,7 +301,9 @@ fn name_formulas(
         let named = |screened: &ScreenedEffect| {
             let effects = with(&screened.candidate);
             let model = FittedModel::new(setup, effects, last.fit.split, options).ok()?;
-            let is_named = model.mean_square() <= (1.0 + NEAR) * last.mean_square()
+            let is_as_simple = model.parameters() <= last.parameters()
+                && model.mean_square() <= (1.0 + NEAR) * last.mean_square();
+            let is_named = (is_as_simple || model.is_distinguishably_better(&last))
                 && model.is_possible(recordings)
                 && model.is_plausible(&screened.candidate, recordings);
             is_named.then_some(model)
