@@ -175,10 +175,10 @@ fn constant_covariate_is_inconclusive_with_suggestion() {
 #[test]
 fn indistinguishable_effects_are_tied() {
     for (programme, simulated_effect, other) in [
-        ("same-warm-up", "sensor_temperature", "field_drift"),
-        ("single-sine", "hysteresis", "viscous_lag"),
+        ("same-warm-up --sensors 2", "sensor_temperature", "field_drift"),
+        ("single-sine --sensors 1 --seconds 15", "hysteresis", "viscous_lag"),
     ] {
-        let line = format!("--programme {programme} --effect {simulated_effect} --sensors 2");
+        let line = format!("--programme {programme} --effect {simulated_effect}");
         let diagnosis = simulated(&line);
         for effect in [simulated_effect, other] {
             assert_eq!(verdict(&diagnosis, effect), "tied", "{programme}: {effect}");
