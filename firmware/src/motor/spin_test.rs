@@ -1,7 +1,7 @@
 //! Spin test: measures torque constant, inertia and dry friction of the drive, after resistance and inductance are known.
 //!
 //! A slowly rising current finds the friction. Then a current of constant magnitude reverses whenever the rotor reaches
-//! [`TURN_BACK`], which works for any inertia and torque constant. A line through the voltages over the speed has the torque
+//! `TURN_BACK`, which works for any inertia and torque constant. A line through the voltages over the speed has the torque
 //! constant as its slope; errors of resistance and dead time add a voltage with the sign of the current, which the fit separates. The
 //! rotor accelerates with the difference of torque and friction, and slows down with their sum.
 
