@@ -67,10 +67,10 @@ fn records(seconds: u32) -> Result<(), Failed> {
     println!("{} ticks in {seconds} s, {}", forces.len(), bench.report());
     let times = forces.keys().zip(forces.keys().skip(1));
     let steps_us: Vec<u64> = times.map(|(first, second)| second - first).collect();
-    // A tick may begin late by 50 us; the last ones are on their way at the end.
+    // A tick may begin late by 50 us. Both ends of the recording may be ticks; the last ones are on their way at its end.
     assert!(steps_us.iter().all(|step_us| *step_us <= TICK_US + 60), "{steps_us:?}");
     let expected = 1000 * seconds as usize;
-    assert!((expected - 2..=expected).contains(&forces.len()), "{}", forces.len());
+    assert!((expected - 2..=expected + 1).contains(&forces.len()), "{}", forces.len());
     let rows = std::fs::read_to_string(folder.path().join("hall.csv"))?;
     let mut lines = rows.lines();
     let header = lines.next().unwrap_or_default();
