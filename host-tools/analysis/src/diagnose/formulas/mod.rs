@@ -4,14 +4,15 @@
 //! selection on held-out rows: all terms of a dictionary are scored exactly at all points of the chain, the best candidates are
 //! refined, and the simplest within 2 % of the least remaining error is accepted if its family-wise p-value is below 1 % and
 //! every fold improves. Then the whole model is fitted again with the formula as a user-defined effect. At the end terms
-//! without effect are dropped, and the point of the chain is decided by full fits. A formula is never called by a physical
-//! name.
+//! without effect are dropped, and the point of the chain is decided by full fits. A formula has no physical
+//! name; an effect of the catalogue that does the same takes its place.
 //!
 //! - [`chain_points`]: where a formula can act.
 //! - [`atoms`]: functions of one covariate.
 //! - [`harmonics`]: those of the rotor's turn in a residual.
 //! - [`dictionary`]: their products, and their values.
 //! - [`rows`]: a fitted model linearised, whitened and averaged.
+//! - [`naming`]: formulas that are an effect of the catalogue.
 //! - [`scan`]: scores and significance.
 //! - [`candidate`]: terms at points of the chain, as columns and as text.
 
@@ -20,6 +21,7 @@ pub mod candidate;
 pub mod chain_points;
 pub mod dictionary;
 pub mod harmonics;
+pub mod naming;
 pub mod rows;
 pub mod scan;
 pub mod simpler;
@@ -37,10 +39,10 @@ use nalgebra::{Matrix2, Vector2};
 use rayon::prelude::*;
 use std::collections::BTreeSet;
 
-use crate::diagnose::candidates::{REPLACES, ScreenedEffect, screen, varying_covariates};
+use crate::diagnose::candidates::varying_covariates;
 use crate::diagnose::forward_selection::screen_last;
 use crate::diagnose::observer::Observer;
-use crate::diagnose::selection::{AcceptedStep, DropReason, DroppedStep, FittedModel, Selection};
+use crate::diagnose::selection::{DropReason, DroppedStep, FittedModel, Selection};
 use candidate::{COEFFICIENTS, Candidate, columns_at};
 use chain_points::ChainPoint;
 use dictionary::{Dictionary, RankedCandidate};
@@ -68,13 +70,6 @@ const MIN_GAIN: f64 = 0.004;
 const MAX_P: f64 = 0.01;
 /// A formula that reduces the squared error by less is dropped at the end.
 pub const MIN_KEPT: f64 = 0.01;
-/// Whether a model explains most of what another leaves above the noise.
-fn explain_most(model: &FittedModel, other: &FittedModel) -> bool {
-    let excess =
-        |model: &FittedModel| (model.mean_square() - model.fit.tally().floor_g().powi(2)).max(0.0);
-    excess(model) <= (1.0 - MIN_EXPLAINED) * excess(other)
-}
-
 /// Minimum fraction of the excess over the noise that all formulas explain together. Noise that wanders as slowly as a covariate
 /// is correlated with it without a cause, and signs of blocks do not show that.
 const MIN_EXPLAINED: f64 = 0.5;
@@ -131,10 +126,6 @@ pub struct Discovery {
 }
 
 impl Discovery {
-    fn mean_square(&self) -> f64 {
-        self.stages.last().map_or(f64::INFINITY, FittedModel::mean_square)
-    }
-
     fn is_at_floor(&self) -> bool {
         self.stages.last().is_some_and(FittedModel::is_at_floor)
     }
@@ -180,16 +171,10 @@ pub fn discover(
         (None, None) => return Ok((Vec::new(), from_first)),
         (None, Some(joined)) => (selection.steps.len(), joined),
         (Some(alone), joined) => {
-            let with_effects = joined.as_ref().and_then(|joined| joined.stages.last());
-            let with_effects = with_effects.unwrap_or(last);
-            let of_alone = alone.stages.last().map_or(usize::MAX, FittedModel::parameters);
-            let is_simpler = of_alone < with_effects.parameters();
-            // With more parameters they must explain what the effects leave, as formulas next to them must.
-            let is_better = match (is_simpler, alone.stages.last()) {
-                (true, _) => alone.mean_square() < (1.0 + NEAR) * with_effects.mean_square(),
-                (false, Some(of_alone)) => explain_most(of_alone, with_effects),
-                (false, None) => false,
-            };
+            let of_effects = joined.as_ref().and_then(|joined| joined.stages.last());
+            let is_better = alone.stages.last().is_some_and(|of_formulas| {
+                is_better_than_effects(of_formulas, of_effects.unwrap_or(last))
+            });
             match joined {
                 _ if is_better => (0, alone),
                 Some(joined) => (selection.steps.len(), joined),
@@ -204,10 +189,26 @@ pub fn discover(
     selection.stages.extend(found.stages);
     let mut formulas = found.formulas;
     remove_needless(setup, selection, &mut formulas, options)?;
-    name_formulas(setup, candidates, selection, &mut formulas, options)?;
+    naming::name_formulas(setup, candidates, selection, &mut formulas, options)?;
     observer.stage("screening candidates", FINAL);
     screen_last(campaign, setup, candidates, selection, options);
     Ok((formulas, from_first))
+}
+
+/// Whether a model of formulas alone replaces one with effects, and with formulas next to them: with fewer parameters it leaves no more;
+/// with more it explains what the other leaves, as formulas next to effects must.
+fn is_better_than_effects(of_formulas: &FittedModel, of_effects: &FittedModel) -> bool {
+    match of_formulas.parameters() < of_effects.parameters() {
+        true => of_formulas.mean_square() < (1.0 + NEAR) * of_effects.mean_square(),
+        false => explains_most(of_formulas, of_effects),
+    }
+}
+
+/// Whether a model explains most of what another leaves above the noise.
+fn explains_most(model: &FittedModel, other: &FittedModel) -> bool {
+    let excess =
+        |model: &FittedModel| (model.mean_square() - model.fit.tally().floor_g().powi(2)).max(0.0);
+    excess(model) <= (1.0 - MIN_EXPLAINED) * excess(other)
 }
 
 /// Formulas that explain as much as the effects of a selection at the noise floor, with as many terms at most, where the effects
@@ -267,74 +268,6 @@ pub fn equivalent_formulas(
     let recordings = campaign.recordings.len();
     found.formulas.iter_mut().for_each(|formula| formula.set_models(&model, recordings));
     Ok(found.formulas)
-}
-
-/// Replaces formulas by effects of the catalogue that do the same and explain as much with no more parameters, or more: next to another cause an effect may not have
-/// lowered the error. Where structure remains, the formulas are approximations, and so would be the effects.
-fn name_formulas(
-    setup: &FitSetup,
-    candidates: &[EffectTerm],
-    selection: &mut Selection,
-    formulas: &mut Vec<DiscoveredFormula>,
-    options: FitOptions,
-) -> Result<()> {
-    let recordings = setup.recordings();
-    for place in (0..formulas.len()).rev() {
-        let last = selection.stages.last().filter(|last| last.is_at_floor());
-        let Some(last) = last.cloned() else { return Ok(()) };
-        let own = &formulas[place].effects;
-        let others: Vec<EffectTerm> =
-            last.effects.iter().filter(|effect| !own.contains(effect)).cloned().collect();
-        let without = FittedModel::without_validation(setup, others.clone(), options)?;
-        let test = ScoreTest::new(setup, &others, &without.fit, selection.block_s);
-        let patterns: Vec<CandidateScore> =
-            own.iter().filter_map(|effect| test.score(effect)).collect();
-        let is_open = |effect: &&EffectTerm| {
-            effect.effect().is_some() && !effect.is_transient() && !others.contains(effect)
-        };
-        let open: Vec<EffectTerm> = candidates.iter().filter(is_open).cloned().collect();
-        let does_the_same = |screened: &&ScreenedEffect| {
-            let mut shares = patterns.iter().map(|one| screened.evidence.reproduced_share(one));
-            shares.all(|share| share >= REPLACES)
-        };
-        let with = |effect: &EffectTerm| [&others[..], std::slice::from_ref(effect)].concat();
-        let named = |screened: &ScreenedEffect| {
-            let effects = with(&screened.candidate);
-            let model = FittedModel::new(setup, effects, last.fit.split, options).ok()?;
-            let is_as_simple = model.parameters() <= last.parameters()
-                && model.mean_square() <= (1.0 + NEAR) * last.mean_square();
-            let is_named = (is_as_simple || model.is_distinguishably_better(&last))
-                && model.is_possible(recordings)
-                && model.is_plausible(&screened.candidate, recordings);
-            is_named.then_some(model)
-        };
-        let screened = screen(&test, &open, options.seed);
-        let alike: Vec<&ScreenedEffect> = screened.iter().filter(does_the_same).collect();
-        let fits = alike.into_par_iter().filter_map(|screened| Some((screened, named(screened)?)));
-        let mut fits: Vec<(&ScreenedEffect, FittedModel)> = fits.collect();
-        fits.sort_by(|a, b| a.1.mean_square().total_cmp(&b.1.mean_square()));
-        let Some((screened, model)) = fits.first() else { continue };
-        let before = without.with_split(setup, last.fit.split, options);
-        let equivalent =
-            fits[1..].iter().filter(|other| !model.is_distinguishably_better(&other.1));
-        selection.steps.push(AcceptedStep {
-            tied: equivalent.map(|(other, _)| other.candidate.clone()).collect(),
-            ..AcceptedStep::new(screened, model, &before)
-        });
-        formulas.remove(place);
-        // The steps in their order, then the formulas.
-        let steps = selection.steps.len();
-        selection.stages.truncate(steps);
-        let Some(start) = selection.stages.last() else { return Ok(()) };
-        let mut effects = start.effects.clone();
-        effects.push(screened.candidate.clone());
-        for formula in std::iter::once(None).chain(formulas.iter().map(Some)) {
-            effects.extend(formula.iter().flat_map(|formula| formula.effects.iter().cloned()));
-            let stage = FittedModel::new(setup, effects.clone(), setup.split(&effects), options)?;
-            selection.stages.push(stage);
-        }
-    }
-    Ok(())
 }
 
 /// Removes the effects and formulas that the last model does not need: next to all others they remove nothing relevant.
@@ -502,7 +435,7 @@ impl<'a> FormulaSearch<'a> {
             accepted.push(new);
             (model, free) = (*next, *next_free);
         }
-        if accepted.is_empty() || !explain_most(&model, start) {
+        if accepted.is_empty() || !explains_most(&model, start) {
             return Ok(None);
         }
         // Where structure remains, the formulas are approximations, and so are their points of the chain.
