@@ -115,40 +115,37 @@ pub fn stop_operators<const N: usize>(
 /// First-order low pass with time constant `tau_s`: exact for linear interpolation between the rows, in steady
 /// state at the first value.
 pub fn low_pass(time_s: &[f64], values: &[f64], tau_s: f64) -> Vec<f64> {
-    let Some((&first, _)) = values.split_first() else {
-        return Vec::new();
-    };
-    let mut state = first;
-    let mut filtered = vec![first];
-    for (times, pair) in time_s.windows(2).zip(values.windows(2)) {
-        let dt = times[1] - times[0];
-        let slope = (pair[1] - pair[0]) / dt;
-        let decay = libm::exp(-dt / tau_s);
-        // The lag on a ramp is slope * tau; the deviation from it decays.
-        state = pair[1] - slope * tau_s + (state - pair[0] + slope * tau_s) * decay;
-        filtered.push(state);
-    }
-    filtered
+    low_pass_of(time_s, values, tau_s, |row, _| {
+        [values[row], values[row + 1] - values[row], 0.0, 0.0]
+    })
 }
 
 /// The same, exact for cubic Hermite interpolation with `rates`: rows of a sample are further apart than a load's changes.
 pub fn low_pass_with_rates(time_s: &[f64], values: &[f64], rates: &[f64], tau_s: f64) -> Vec<f64> {
-    let Some((&first, _)) = values.split_first() else {
-        return Vec::new();
-    };
-    let mut state = first;
-    let mut filtered = vec![first];
+    low_pass_of(time_s, values, tau_s, |row, dt| {
+        let rise = values[row + 1] - values[row];
+        let [from, to] = [rates[row] * dt, rates[row + 1] * dt];
+        [values[row], from, 3.0 * rise - 2.0 * from - to, from + to - 2.0 * rise]
+    })
+}
+
+/// Low pass of a cubic between each row and the next, by its coefficients from the row and the time between the two.
+fn low_pass_of(
+    time_s: &[f64],
+    values: &[f64],
+    tau_s: f64,
+    cubic: impl Fn(usize, f64) -> [f64; 4],
+) -> Vec<f64> {
+    let mut filtered: Vec<f64> = values.first().copied().into_iter().collect();
     let mut step = (f64::NAN, 1.0, [0.0; 4]);
-    for ((times, pair), rates) in time_s.windows(2).zip(values.windows(2)).zip(rates.windows(2)) {
+    for (row, times) in time_s.windows(2).enumerate() {
         let dt = times[1] - times[0];
         if step.0 != dt {
             step = (dt, libm::exp(-dt / tau_s), decaying_moments(dt / tau_s));
         }
         let (_, decay, moments) = step;
-        let (rise, [from, to]) = (pair[1] - pair[0], [rates[0] * dt, rates[1] * dt]);
-        let cubic = [pair[0], from, 3.0 * rise - 2.0 * from - to, from + to - 2.0 * rise];
-        state = state * decay + cubic.iter().zip(moments).map(|(c, m)| c * m).sum::<f64>();
-        filtered.push(state);
+        let driven: f64 = cubic(row, dt).iter().zip(moments).map(|(c, m)| c * m).sum();
+        filtered.push(filtered[row] * decay + driven);
     }
     filtered
 }
@@ -383,7 +380,7 @@ mod tests {
             for (t, late) in time_s.iter().zip(late) {
                 let gone = 6.0 * tau.powi(3) * -libm::expm1(-t / tau);
                 let polynomial = t.powi(3) - 3.0 * tau * t * t + 6.0 * tau * tau * t;
-                // Of the reference value itself the terms cancel for a long time constant.
+                // The terms of the expected value cancel for a long time constant.
                 assert_abs_diff_eq!(late, 5.0 + polynomial - gone, epsilon = 1e-9);
             }
         }
