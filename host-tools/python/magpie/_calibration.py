@@ -473,6 +473,6 @@ def simulate(
 def effects() -> list[dict[str, Any]]:
     """The catalogue of physical effects, a dictionary of each: its name ``effect``, its ``physics``, ``equation`` and ``parameters``,
     the columns that it ``needs``, its magnitude (``size``), what to ``record`` to identify it, the effects with which it may be
-    ``confused_with``, ``same_outside`` (a cause outside the catalogue that leaves the same), and how
-    the board compensates it (``undone``)."""
+    ``confused_with``, ``similar_outside`` (a cause outside the catalogue that can leave nearly the same), and how the
+    board compensates it (``compensated``)."""
     return json.loads(_magpie.effects())

@@ -193,8 +193,8 @@ pub struct Effect {
     pub record: &'static str,
     /// Ids of confusable effects, each with the condition. A pair may be stated at one of the two only.
     pub confused_with: &'static [(&'static str, &'static str)],
-    /// A cause outside the catalogue that leaves the same on any recordings; empty where none is known.
-    pub same_outside: &'static str,
+    /// A cause outside the catalogue that can leave nearly the same; empty where none is known.
+    pub similar_outside: &'static str,
     /// What it has in common with other effects.
     pub signatures: &'static [Signature],
     /// How it is simulated.

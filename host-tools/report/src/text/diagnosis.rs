@@ -300,14 +300,14 @@ pub fn runs_on_device(diagnosis: &Diagnosis, effects: &[&str]) -> String {
 /// Minimum share of a pattern that is mentioned.
 const MIN_SIMILAR: f64 = 0.5;
 
-/// "On these recordings it reproduces the patterns of clock_skew (92 %), creep (54 %)." and "A reference that is not linear leaves the
-/// same."; empty where neither is known.
+/// "On these recordings it reproduces the patterns of clock_skew (92 %), creep (54 %)." and "Outside the catalogue, a reference that is
+/// not linear can leave nearly the same."; empty where neither is known.
 pub fn similar_effects(verdict: &Verdict) -> String {
     let mut said = similar_in_catalogue(verdict);
-    let outside = find(&verdict.effect).map_or("", |effect| effect.same_outside);
+    let outside = find(&verdict.effect).map_or("", |effect| effect.similar_outside);
     if !outside.is_empty() {
         let space = if said.is_empty() { "" } else { " " };
-        said += &format!("{space}Outside the catalogue, {outside} leaves the same.");
+        said += &format!("{space}Outside the catalogue, {outside} can leave nearly the same.");
     }
     said
 }

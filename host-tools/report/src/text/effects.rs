@@ -82,7 +82,7 @@ pub fn describe(effect: &Effect) -> String {
         [] => "field and force".to_owned(),
         needs => needs.join(", "),
     };
-    let outside = Some(effect.same_outside).filter(|outside| !outside.is_empty());
+    let outside = Some(effect.similar_outside).filter(|outside| !outside.is_empty());
     let confused: String = effect
         .confused_with
         .iter()
@@ -120,6 +120,6 @@ pub fn to_json(effect: &Effect) -> Value {
         "needs": effect.needs, "parameters": effect.parameters.iter().map(parameter).collect::<Vec<_>>(),
         "size": { "means": effect.size.description, "unit": effect.size.unit, "typical": effect.size.typical, "plausible": effect.size.plausible },
         "record": effect.record, "confused_with": effect.confused_with.iter().map(|(id, _)| id).collect::<Vec<_>>(),
-        "same_outside": effect.same_outside, "undone": compensation(effect),
+        "similar_outside": effect.similar_outside, "compensated": compensation(effect),
     })
 }

@@ -32,7 +32,7 @@ pub const EFFECT: Effect = Effect {
         ("reference_filter", "with the opposite sign"),
         ("hysteresis", "at a single frequency"),
     ],
-    same_outside: "a filter in the sensors",
+    similar_outside: "a filter in the sensors",
     signatures: &[Signature::LoadHistory],
     simulation: Simulation::Magnitude(SimulatedMagnitude {
         random_stream: 12,

@@ -45,7 +45,7 @@ pub const EFFECT: Effect = Effect {
         ("hysteresis", "where the load always returns at the same speed"),
         ("softening", "both increase under load"),
     ],
-    same_outside: "creep of the reference",
+    similar_outside: "creep of the reference",
     signatures: &[Signature::LoadHistory, Signature::Time],
     simulation: Simulation::Magnitude(SimulatedMagnitude {
         random_stream: 10,

@@ -30,7 +30,7 @@ pub const EFFECT: Effect = Effect {
     },
     record: "Load one axis at a time, then both with different rhythms.",
     confused_with: &[("fingertip_mass", "where the load results from motion of the arm")],
-    same_outside: "crosstalk between the axes of the reference",
+    similar_outside: "crosstalk between the axes of the reference",
     signatures: &[],
     simulation: Simulation::Magnitude(SimulatedMagnitude {
         random_stream: 14,

@@ -35,7 +35,7 @@ pub const EFFECT: Effect = Effect {
         ("field_drift", "both change from recording to recording"),
         ("softening", "both scale the response, recording by recording"),
     ],
-    same_outside: "a gain of all axes that changed",
+    similar_outside: "a gain of all axes that changed",
     signatures: &[Signature::Time],
     simulation: Simulation::Magnitude(SimulatedMagnitude {
         random_stream: 18,

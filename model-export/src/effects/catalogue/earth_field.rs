@@ -40,7 +40,7 @@ pub const EFFECT: Effect = Effect {
         ),
         ("sensor_temperature", "where the temperature changes during the rotation"),
     ],
-    same_outside: "",
+    similar_outside: "",
     signatures: &[Signature::AmbientField],
     simulation: Simulation::Magnitude(SimulatedMagnitude {
         random_stream: 4,

@@ -55,7 +55,7 @@ pub const EFFECT: Effect = Effect {
         ("neighbour_magnet", "where the gripper closed only once"),
         ("demagnetisation", "a permanent step"),
     ],
-    same_outside: "iron that was moved near the gripper",
+    similar_outside: "iron that was moved near the gripper",
     signatures: &[Signature::Time],
     simulation: Simulation::Magnitude(SimulatedMagnitude {
         random_stream: 19,

@@ -48,7 +48,7 @@ pub const EFFECT: Effect = Effect {
         ("reference_drift", "both are slow; a drifting reference acts along dB/dF only"),
         ("demagnetisation", "both change from recording to recording"),
     ],
-    same_outside: "",
+    similar_outside: "",
     signatures: &[Signature::Time],
     simulation: Simulation::Magnitude(SimulatedMagnitude {
         random_stream: 21,

@@ -32,7 +32,7 @@ pub const EFFECT: Effect = Effect {
         ),
         ("cross_coupling", "where the load results from motion of the arm"),
     ],
-    same_outside: "",
+    similar_outside: "",
     signatures: &[],
     simulation: Simulation::Magnitude(SimulatedMagnitude {
         random_stream: 16,

@@ -37,7 +37,7 @@ pub const EFFECT: Effect = Effect {
         ("sensor_compression", "where the field along the gap increases with the load"),
         ("tip_slope", "where both axes are always loaded together"),
     ],
-    same_outside: "a reference that is not linear",
+    similar_outside: "a reference that is not linear",
     signatures: &[],
     simulation: Simulation::Magnitude(SimulatedMagnitude {
         random_stream: 0,

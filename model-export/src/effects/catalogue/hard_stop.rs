@@ -46,7 +46,7 @@ pub const EFFECT: Effect = Effect {
         ("geometric_stiffening", "where the load barely exceeds the knee"),
         ("sensor_compression", "where the field along the gap increases with the load"),
     ],
-    same_outside: "",
+    similar_outside: "",
     signatures: &[],
     simulation: Simulation::Magnitude(SimulatedMagnitude {
         random_stream: 15,

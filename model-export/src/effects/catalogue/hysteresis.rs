@@ -56,7 +56,7 @@ pub const EFFECT: Effect = Effect {
         ("clock_skew", "at a single frequency: the same ellipse"),
         ("creep", "where the load always returns at the same speed"),
     ],
-    same_outside: "hysteresis of the reference",
+    similar_outside: "hysteresis of the reference",
     signatures: &[Signature::LoadHistory],
     simulation: Simulation::Magnitude(SimulatedMagnitude {
         random_stream: 8,

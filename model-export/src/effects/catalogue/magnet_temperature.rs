@@ -31,7 +31,7 @@ pub const EFFECT: Effect = Effect {
         ("field_drift", "where there is one warm-up only"),
         ("demagnetisation", "where the temperature differs between recordings only"),
     ],
-    same_outside: "",
+    similar_outside: "",
     signatures: &[Signature::Temperature],
     simulation: Simulation::Magnitude(SimulatedMagnitude {
         random_stream: 5,

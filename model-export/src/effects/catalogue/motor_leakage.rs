@@ -45,7 +45,7 @@ pub const EFFECT: Effect = Effect {
     record: "With the gripper unloaded and at a fixed opening, press against a stop with 0, half and full \
               current; then rotate the motor slowly through several revolutions.",
     confused_with: &[("neighbour_magnet", "closing requires current")],
-    same_outside: "a supply that drops with the current",
+    similar_outside: "a supply that drops with the current",
     signatures: &[],
     simulation: Simulation::Magnitude(SimulatedMagnitude {
         random_stream: 3,

@@ -45,7 +45,7 @@ pub const EFFECT: Effect = Effect {
         ("external_magnet", "where the gripper closed only once"),
         ("screw_backlash", "both depend on the opening"),
     ],
-    same_outside: "iron that moves with the opening",
+    similar_outside: "iron that moves with the opening",
     signatures: &[],
     simulation: Simulation::Magnitude(SimulatedMagnitude {
         random_stream: 2,

@@ -32,7 +32,7 @@ pub const EFFECT: Effect = Effect {
         ("field_drift", "both are slow; this one acts along dB/dF only"),
         ("creep", "both are slow"),
     ],
-    same_outside: "",
+    similar_outside: "",
     signatures: &[Signature::Time],
     simulation: Simulation::Magnitude(SimulatedMagnitude {
         random_stream: 20,

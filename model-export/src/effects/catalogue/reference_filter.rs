@@ -29,7 +29,7 @@ pub const EFFECT: Effect = Effect {
         ("clock_skew", "with the opposite sign, except at sharp edges"),
         ("viscous_lag", "with the opposite sign"),
     ],
-    same_outside: "",
+    similar_outside: "",
     signatures: &[Signature::LoadHistory],
     simulation: Simulation::Magnitude(SimulatedMagnitude {
         random_stream: 13,

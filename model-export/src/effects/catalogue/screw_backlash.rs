@@ -35,7 +35,7 @@ pub const EFFECT: Effect = Effect {
     record: "Close and open slowly around a small opening, where the neighbour's field is strongest, with \
               many reversals.",
     confused_with: &[("neighbour_magnet", "where the gripper does not reverse")],
-    same_outside: "",
+    similar_outside: "",
     signatures: &[],
     simulation: Simulation::Magnitude(SimulatedMagnitude {
         random_stream: 17,

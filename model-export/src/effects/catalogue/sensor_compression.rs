@@ -29,7 +29,7 @@ pub const EFFECT: Effect = Effect {
         ("tip_slope", "both are even in the load"),
         ("geometric_stiffening", "where the field along the gap increases with the load"),
     ],
-    same_outside: "",
+    similar_outside: "",
     signatures: &[],
     simulation: Simulation::Magnitude(SimulatedMagnitude {
         random_stream: 22,

@@ -41,7 +41,7 @@ pub const EFFECT: Effect = Effect {
         ("thermal_gap", "both change the gap axis with the temperature"),
         ("field_drift", "where there is one warm-up only"),
     ],
-    same_outside: "",
+    similar_outside: "",
     signatures: &[Signature::Temperature],
     simulation: Simulation::Magnitude(SimulatedMagnitude {
         random_stream: 6,

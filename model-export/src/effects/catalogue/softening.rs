@@ -35,7 +35,7 @@ pub const EFFECT: Effect = Effect {
         ("demagnetisation", "both scale the response, recording by recording"),
         ("magnet_temperature", "where the temperature rises at the same time"),
     ],
-    same_outside: "a span of the reference that drifts",
+    similar_outside: "a span of the reference that drifts",
     signatures: &[Signature::Time],
     simulation: Simulation::Magnitude(SimulatedMagnitude {
         random_stream: 11,

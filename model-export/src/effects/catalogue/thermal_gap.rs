@@ -29,7 +29,7 @@ pub const EFFECT: Effect = Effect {
         ("magnet_temperature", "both change the gap axis with the temperature"),
         ("sensor_temperature", "equal to an offset drift along the gap"),
     ],
-    same_outside: "",
+    similar_outside: "",
     signatures: &[Signature::Temperature],
     simulation: Simulation::Magnitude(SimulatedMagnitude {
         random_stream: 7,

@@ -40,7 +40,7 @@ pub const EFFECT: Effect = Effect {
         ("sensor_compression", "both are even in the load"),
         ("geometric_stiffening", "where only one sign of the load was recorded"),
     ],
-    same_outside: "",
+    similar_outside: "",
     signatures: &[],
     simulation: Simulation::Magnitude(SimulatedMagnitude {
         random_stream: 1,

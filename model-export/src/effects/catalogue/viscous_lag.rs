@@ -35,7 +35,7 @@ pub const EFFECT: Effect = Effect {
         ("hysteresis", "at a single frequency"),
         ("reference_filter", "with the opposite sign"),
     ],
-    same_outside: "a sensor that is read later than the others",
+    similar_outside: "a sensor that is read later than the others",
     signatures: &[Signature::LoadHistory],
     simulation: Simulation::Magnitude(SimulatedMagnitude {
         random_stream: 9,
