@@ -15,6 +15,7 @@ use model_export::model_file::{BaseKind, ModelFile, Provenance};
 use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
 use model_export::recordings::campaign::recording_folders;
+use model_export::recordings::columns::force_column_name;
 use serde::Deserialize;
 
 use crate::compare::campaign_reader::{Caching, CampaignReader, ScannedCampaign};
@@ -169,7 +170,8 @@ impl Workbench {
     pub fn covariates(&self) -> Vec<String> {
         let first = self.campaign.recordings.first();
         first.map_or_else(Vec::new, |recording| {
-            recording.covariates.keys().cloned().chain(recording.forces_on_several()).collect()
+            let forces = recording.forces_on_several().map(force_column_name);
+            recording.covariates.keys().cloned().chain(forces).collect()
         })
     }
 

@@ -259,7 +259,7 @@ impl fmt::Display for StepFailure {
 
 impl std::error::Error for StepFailure {}
 
-/// Does the steps that a record lacks; `save` is called after each with the record. The limits of the bench stay until
+/// Does the steps that are missing from a record; `save` is called after each with the record. The limits of the bench stay until
 /// [`sign_off`].
 ///
 /// # Errors

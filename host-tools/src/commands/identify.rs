@@ -14,7 +14,8 @@ use crate::commands::connection::PortArgs;
 ///
 /// Once after assembly: without it, motor constants are assumed, and the screw counts as backdrivable: a fault that switches
 /// the current off is then expected to drop the part. The gripper must be disabled. `motor` measures windings, phase order,
-/// rotor sensor, torque constant, inertia and friction: nothing may be gripped, and the fingers need room. `screw` grips a part with 2 A, up to 150 N with the assumed motor, takes
+/// rotor sensor, torque constant, inertia and friction: nothing may be gripped, and the fingers need room. `screw`
+/// grips a part with 0.2 N m (2 A and up to 150 N with the assumed motor and screw), takes
 /// the current away and observes whether the fingers yield: a rigid part must be between the fingers, at most 20 mm narrower
 /// than their opening. Forces, faults and stops end either.
 #[derive(Debug, clap::Args)]

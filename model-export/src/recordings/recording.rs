@@ -11,7 +11,7 @@ use sha2::{Digest, Sha256};
 use crate::input::{self, check_recording_values};
 use crate::recordings::align::Alignment;
 use crate::recordings::columns::{
-    Axis, ChannelLayout, ForceColumn, HallColumn, SignalUnit, force_column, force_column_name,
+    Axis, ChannelLayout, ForceColumn, HallColumn, SignalUnit, force_column,
 };
 use crate::recordings::description::RecordingDescription;
 use crate::recordings::error::{DataError, ErrorKind, Location, Notice};
@@ -278,12 +278,11 @@ impl Recording {
         }
     }
 
-    /// Column names of the forces, where they act on several sensors.
-    pub fn forces_on_several(&self) -> Vec<String> {
-        let mut sensors: Vec<u32> = self.forces.keys().map(|(sensor, _)| *sensor).collect();
-        sensors.dedup();
-        let names = self.forces.keys().map(|force| force_column_name(*force));
-        if sensors.len() > 1 { names.collect() } else { Vec::new() }
+    /// The forces, where they act on several sensors.
+    pub fn forces_on_several(&self) -> impl Iterator<Item = (u32, Axis)> {
+        let first = self.forces.keys().next().map(|(sensor, _)| *sensor);
+        let are_several = self.forces.keys().any(|(sensor, _)| Some(*sensor) != first);
+        self.forces.keys().copied().filter(move |_| are_several)
     }
 
     /// Time from the first to the last row in seconds.

@@ -109,7 +109,7 @@ fn check_loads_one_of(flash: &mut FlashModel, possible: &[Parameters], case: &st
     }
     let next = parameters(399);
     assert_eq!(save(flash, &next), Ok(()), "{case}");
-    // What a cut has left beside the new values may read as a record or not, until the save of one more boot replaces it.
+    // What a cut has left next to the new values may read as a record or not, until the save of one more boot replaces it.
     let is_unsettled = |_: &u32| {
         let last = boot(flash);
         assert_eq!(last.parameters, next, "{case}: save lost");

@@ -2,7 +2,7 @@
 
 use model_export::effects::ExcitationSeries;
 use model_export::recordings::Recording;
-use model_export::recordings::columns::{Axis, ForceColumn, STATOR_CURRENTS, force_column};
+use model_export::recordings::columns::{Axis, STATOR_CURRENTS, force_column_name};
 use std::borrow::Cow;
 use std::f64::consts::{PI, TAU};
 
@@ -95,15 +95,14 @@ pub fn all_covariates(recording: &Recording) -> Vec<Covariate> {
         unit: "",
         kind: CovariateKind::Quantity,
     });
-    let forces = recording.forces_on_several().into_iter().filter_map(|name| {
-        let Ok(ForceColumn::Force { sensor, axis }) = force_column(&name) else { return None };
+    let forces = recording.forces_on_several().map(|(sensor, axis)| {
         let along = if axis == Axis::X { "lateral" } else { "longitudinal" };
-        Some(Covariate {
+        Covariate {
+            name: Cow::Owned(force_column_name((sensor, axis))),
             words: Cow::Owned(format!("{along} force on sensor {sensor}")),
-            name: Cow::Owned(name),
             unit: "N",
             kind: CovariateKind::Quantity,
-        })
+        }
     });
     STANDARD.iter().cloned().chain(own).chain(forces).collect()
 }

@@ -168,11 +168,6 @@ impl Armed<'_> {
         Ok(observed)
     }
 
-    /// Sends nothing for a time, as a host that has ended.
-    pub fn fall_silent(&mut self, time: Duration) -> Result<Observed> {
-        self.gripper.observe(time)
-    }
-
     /// Sends a stop, and listens for a time.
     pub fn stop(&mut self, time: Duration) -> Result<Observed> {
         self.gripper.source.send(Message::EStop(EStop::default()))?;

@@ -72,7 +72,7 @@ pub const STEPS: [Step; 12] = [
         name: "motor",
         connect: "The motor; the screw uncoupled.",
         expect: "current senses along the field; resistance within a factor of 1.6 of the data sheet, inductance of 1.8, torque constant of 1.5, inertia of 2; its pole pairs; dry friction at most 0.1 N m",
-        otherwise: "Exchanged or inverted current senses, the wrong motor, or a brake: mend it and repeat the step",
+        otherwise: "Exchanged or inverted current senses, the wrong motor, or a brake: correct it and repeat the step",
         run: motor,
     },
     Step {
@@ -321,8 +321,11 @@ fn stop(doing: &mut BringUp<'_>) -> Result<()> {
         let position = if is_stopped { FULLY_OPEN / 2 } else { FULLY_OPEN };
         let away = Command { mode: mode::MOVE, position, speed: 40, ..Command::default() };
         let moving = armed.command(away, tenths(5), |_| false)?;
-        let after =
-            if is_stopped { armed.stop(tenths(5))? } else { armed.fall_silent(tenths(7))? };
+        // A host that has ended sends nothing.
+        let after = match is_stopped {
+            true => armed.stop(tenths(5))?,
+            false => armed.gripper.observe(tenths(7))?,
+        };
         armed.end()?;
         let (moved, rest) = (opening_mm_s(&moving.state), opening_mm_s(&after.state));
         doing.check("speed before in mm/s", moved.abs(), [3.0, 15.0])?;
