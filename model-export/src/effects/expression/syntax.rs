@@ -315,6 +315,11 @@ pub(super) fn name_lags(
         named.push_str(&formula.text[at..start]);
         named.push_str(&name);
         at = start + whole.len();
+        if name_length(&formula.text[at..]) > 0 {
+            // It would be part of the name.
+            let advice = format!("an operator is missing after {whole}");
+            return Err(ExpressionError::at(text, formula.start + at, advice));
+        }
         lags.push(Lag { name, covariate: covariate.to_owned(), seconds: seconds.to_owned() });
     }
     named.push_str(&formula.text[at..]);

@@ -69,6 +69,10 @@ fn invalid_formulas_yield_advice() {
         ("warm: dz_um = a*lag(opening_mm, 1", "write lag(COVARIATE, SECONDS)"),
         ("warm: dz_um = a*lag(opening_mm, 0)", "neither a positive number of seconds nor"),
         ("warm: dz_um = a*lag(opening_mm, tau)", "--range tau=1..10, or after a semicolon"),
+        (
+            "warm: dz_um = a*lag(opening_mm, 1)b*time_s",
+            "operator is missing after lag(opening_mm, 1)",
+        ),
         ("warm: dz_um = a*lag(openning_mm, 1)", "did you mean opening_mm?"),
         ("warm: dz_um = a*lag(b, 1)", "available: fx_n, fz_n,"),
     ] {
