@@ -7,7 +7,7 @@
   (`allowed_panics.py`), and every call through a pointer has known targets (`indirect_calls.py`); from the models and
   the motor's interrupts none at all.
 - The deepest stack of all levels of priority, nested, fits, and is no less than the measured one in PROFILE, the output of
-  `magpie emulate --json`.
+  `magpie dev emulate --json`.
 - The kernels and the motor's interrupts are in the memory next to the core; the kernels' code, with the tables
   of the activations, and their stack stay within bounds.
 

@@ -23,13 +23,13 @@ fn main() {
     };
     assert!(
         path.is_file(),
-        "MAGPIE_TABLES: no such file: {} (write one with `cargo magpie export model.toml -o PATH`)",
+        "MAGPIE_TABLES: no such file: {} (write one with `cargo magpie dev export model.toml -o PATH`)",
         path.display()
     );
     let tables = std::fs::read_to_string(&path).unwrap_or_default();
     assert!(
-        tables.starts_with("// Written by `magpie export`."),
-        "{} is not a file of tables: write one with `cargo magpie export model.toml -o PATH`",
+        tables.starts_with("// Written by `magpie dev export`."),
+        "{} is not a file of tables: write one with `cargo magpie dev export model.toml -o PATH`",
         path.display()
     );
     println!("cargo:rerun-if-changed={}", path.display());

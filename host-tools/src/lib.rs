@@ -5,7 +5,7 @@
 //! - `emulator`: the chip, executing the firmware's image.
 //! - `device-run`: recordings through the device's code, row by row.
 //! - `sim`: simulated gripper: campaigns, drivetrain, board in virtual time, closed loop, faults.
-//! - `analysis`: replay, comparison, diagnosis, data quality, benchmark, calibration.
+//! - `analysis`: replay, comparison, diagnosis, data quality, training.
 //! - `report`: results as text, tables and HTML pages.
 //! - `device`: access to a running gripper.
 

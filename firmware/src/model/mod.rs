@@ -4,7 +4,7 @@
 //! - [`formats`]: structs shared with the exporter.
 //! - [`kernel`]: sums of the ideal model and of the recurrent network, bit-exact on every platform.
 //! - [`integrity`]: checksums of tables and weights.
-//! - `tables`: only in images and tests: the tables of this build, written by `magpie export`.
+//! - `tables`: only in images and tests: the tables of this build, written by `magpie dev export`.
 
 pub mod axis_map;
 pub mod calibration;

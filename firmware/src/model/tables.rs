@@ -1,4 +1,4 @@
-// Written by `magpie export`. Do not edit: fit again and export again.
+// Written by `magpie dev export`. Do not edit: fit again and export again.
 //
 // inputs    9c8a4abb3f881567bf12d6dca865c9d2a64cd3d23a7a66e76550f7cb0246e1af (SHA-256 of the model file)
 // model     fitted parameters, campaign demo

@@ -298,7 +298,7 @@ pub const PARAMETERS: [Parameter; COUNT] = {
         Parameter {
             id: id::BENCH,
             default: 1,
-            description: "limits of the bench: supply from 10.5 V, 2 A, 10 mm/s, 20 N; the end of `magpie bringup` removes them; takes effect at the next boot",
+            description: "limits of the bench: supply from 10.5 V, 2 A, 10 mm/s, 20 N; the end of `magpie board bringup` removes them; takes effect at the next boot",
             affects_motion: true,
             ..switch(id::BENCH, "bench", "")
         },

@@ -1,7 +1,7 @@
 //! The messages on the CAN bus and on the serial line.
 //!
 //! CAN: classic frames of eight bytes at 1 Mbit/s, little-endian, reserved bits zero; an identifier is
-//! `node << 5 | number`. [`messages`] defines them; `magpie dbc` exports the definition.
+//! `node << 5 | number`. [`messages`] defines them; `magpie dev dbc` exports the definition.
 //! Serial line: [`serial`]. Sessions of hosts: [`session`], with the host's side in [`host_session`]; what a message needs:
 //! [`rules`]; how it is authenticated: [`authentication`].
 

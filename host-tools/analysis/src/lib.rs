@@ -5,12 +5,10 @@
 //! - [`comparison`]: the same from files, with all setup errors.
 //! - [`data_quality`]: setup errors in recordings.
 //! - [`diagnose`]: missing physical effects.
-//! - [`benchmark`]: eight force estimators on a held-out recording.
 //! - [`import`]: tables of other loggers as a campaign, checked.
 //! - [`fit`], [`edit_model`]: fit of the base physics, and of other effects.
 //! - [`workbench`]: models of one campaign side by side, each fitted on first use.
 //! - [`network_training`]: training of recurrent networks.
-//! - [`magnetic_disturbance`]: detection rate and false alarms of the disturbance detector.
 //! - [`reference_delay`]: delay between the clocks of board and reference.
 //! - [`calibration`], [`network_calibration`]: coverage of predicted standard deviations.
 //! - [`notes`]: remarks on a result.
@@ -18,7 +16,6 @@
 //!
 //! Results are data; the crate `report` writes their text.
 
-pub mod benchmark;
 pub mod calibration;
 pub mod compare;
 pub mod comparison;
@@ -27,7 +24,6 @@ pub mod diagnose;
 pub mod edit_model;
 pub mod fit;
 pub mod import;
-pub mod magnetic_disturbance;
 pub mod network_calibration;
 pub mod network_training;
 pub mod noise_floor;

@@ -11,7 +11,6 @@ use model_export::model_file::ModelFile;
 use model_export::recordings::{Campaign, Notice};
 use serde::Serialize;
 
-use crate::benchmark::variants::EstimatorVariant;
 use crate::compare::MissingForces;
 use crate::data_quality::Finding;
 
@@ -112,27 +111,6 @@ pub enum Note {
         /// Name of the recording.
         recording: String,
     },
-    /// The effects of a benchmark's model may have been selected with the held-out recording.
-    EffectsNotHeldOut {
-        /// Name of the recording.
-        recording: String,
-    },
-    /// The model of a benchmark has no effects, so the variants with effects are left out.
-    NoEffects,
-    /// The variants with effects are left out, because their physics could not be fitted or built.
-    EffectsLeftOut {
-        /// Duration of the training data in seconds.
-        training_s: f64,
-        /// The error.
-        error: String,
-    },
-    /// A network is left out, because its weights are outside of the device's format.
-    NetworkLeftOut {
-        /// The variant.
-        variant: EstimatorVariant,
-        /// The error.
-        error: String,
-    },
 }
 
 impl Note {
@@ -213,16 +191,20 @@ mod tests {
     use super::*;
     use anyhow::{Context, bail};
 
+    fn note() -> Note {
+        Note::IdealModelNotHeldOut { recording: "3".to_owned() }
+    }
+
     #[test]
     fn error_keeps_its_text_and_the_notes_before_it() {
         let failing = |notes: &mut Vec<Note>| -> Result<()> {
-            notes.push(Note::NoEffects);
+            notes.push(note());
             let cause: Result<()> = (|| bail!("cause"))();
             cause.context("context")
         };
         let error = collect(failing).unwrap_err();
         assert_eq!(format!("{error:#}"), "context: cause");
         let with_notes = error.downcast_ref::<ErrorWithNotes>().unwrap();
-        assert_eq!(with_notes.notes, [Note::NoEffects]);
+        assert_eq!(with_notes.notes, [note()]);
     }
 }

@@ -47,12 +47,6 @@ pub fn epoch_bar(message: &'static str, epochs: u32, done: u32) -> ProgressBar {
     bar
 }
 
-/// A bar whose length grows as work is announced, with the maximum remaining time.
-pub fn growing_bar() -> ProgressBar {
-    let template = "{msg:<44} [{bar:20}] {elapsed}{at_most}";
-    styled(ProgressBar::new(0), template, "fitting the physics")
-}
-
 /// Stage, share done and time left of work whose length is estimated.
 pub struct Stages {
     bar: ProgressBar,

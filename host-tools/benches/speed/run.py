@@ -163,7 +163,7 @@ class Bench:
         network = self.work / "network.safetensors"
         self.run("train", model, campaign, "--quick", "--epochs", "1", "--hidden", "16", "-o", network)
         loadtxt, gunzip = anchor("loadtxt", campaign)["seconds"], anchor("gunzip", campaign)["seconds"]
-        centres = self.run("export", model, "-o", self.work / "tables.rs", "--json").json["centres"]
+        centres = self.run("dev", "export", model, "-o", self.work / "tables.rs", "--json").json["centres"]
         rbf = anchor("rbf", campaign, centres)["seconds"]
         for cores, name, goal in ((None, "all cores", 1500), (1, "one core", 900)):
             whole = self.run("replay", model, campaign, "--json", cores=cores, rounds=3)

@@ -60,11 +60,6 @@ impl NetworkSet {
         Ok(Self { file, packed, gauss_per_lsb, warm_start: false })
     }
 
-    /// The same, warmed up on the first row of each recording.
-    pub fn warm_started(self) -> Self {
-        Self { warm_start: true, ..self }
-    }
-
     /// Sizes and warm-up times, one paragraph per network.
     pub fn description(&self) -> String {
         let sizes = self.packed.iter().zip(&self.file.networks);

@@ -1,5 +1,5 @@
 //! The first power-up of a board: twelve steps, each with what to connect, what is measured and its limits. The table [`STEPS`] is
-//! what `magpie bringup` does and what `firmware/BRING-UP.md` states.
+//! what `magpie board bringup` does and what `firmware/BRING-UP.md` states.
 //!
 //! A step measures by messages, parameters and services of the firmware. What only a person can do or read is asked of an
 //! [`Operator`]. Every value is kept in a [`Record`], in which passed steps are not repeated.

@@ -41,7 +41,7 @@ pub fn read(path: &Path) -> Result<Key> {
     check_mode(path)?;
     let Some(key) = parse(text.trim()) else {
         bail!(
-            "{name}: a key file has one line of 32 hexadecimal digits, not all zero; `cargo magpie key new` writes one"
+            "{name}: a key file has one line of 32 hexadecimal digits, not all zero; `cargo magpie board key new` writes one"
         );
     };
     Ok(key)

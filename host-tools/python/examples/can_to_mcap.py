@@ -2,7 +2,7 @@
 """Forces of grippers on a CAN bus as geometry_msgs/WrenchStamped in an MCAP file: a bridge without a ROS installation.
 
     pip install cantools mcap-ros2-support
-    cargo magpie dbc -o gripper.dbc
+    cargo magpie dev dbc -o gripper.dbc
     can_to_mcap.py gripper.dbc --interface socketcand --host 127.0.0.1 --port 29536 --channel can0 -o forces.mcap
 
 The file is what `ros2 bag record --storage mcap` writes: topics /gripper/force_0 to _3 in newtons, x lateral, z longitudinal,
@@ -69,7 +69,7 @@ def bridge(bus, database, writer, end_s):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("dbc", help="written by `cargo magpie dbc`")
+    parser.add_argument("dbc", help="written by `cargo magpie dev dbc`")
     parser.add_argument("-o", "--output", required=True, help="MCAP file to write")
     parser.add_argument("--seconds", type=float, default=10.0)
     parser.add_argument("--interface", default="socketcan", help="of python-can")

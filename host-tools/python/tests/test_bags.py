@@ -172,7 +172,7 @@ def test_protobuf_and_json_of_mcap(command, tables, tmp_path):
 def test_our_files_are_read_by_others_and_round_trip(command, fitted, tmp_path):
     source = DATA / "ripple"
     folder = tmp_path / "mcap"
-    files = command("export", fitted.model.path, "--mcap", source, "-o", folder)["files"]
+    files = command("dev", "export", fitted.model.path, "--mcap", source, "-o", folder)["files"]
     expected = {name: pd.read_csv(next((source / "1").glob(f"{name}.csv*"))) for name in ("hall", "force")}
     topics = {"/board": expected["hall"], "/reference": expected["force"]}
     with open(files[0], "rb") as file:

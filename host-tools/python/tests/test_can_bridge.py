@@ -23,7 +23,7 @@ def load_example():
 
 def test_valid_forces_of_a_virtual_bus_are_written_in_newtons(tmp_path):
     dbc = tmp_path / "gripper.dbc"
-    subprocess.run([command_path(), "dbc", "-o", dbc], check=True, capture_output=True)
+    subprocess.run([command_path(), "dev", "dbc", "-o", dbc], check=True, capture_output=True)
     database = cantools.database.load_file(dbc)
     example, target = load_example(), tmp_path / "forces.mcap"
     numbers = []

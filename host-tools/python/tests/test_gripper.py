@@ -22,7 +22,7 @@ def bus(tmp_path_factory):
     """The bus of a homed gripper with an object of 40 mm."""
     if not IMAGE.exists():
         pytest.skip("the image is built by EMULATION=required cargo test -p host-tools")
-    line = [command_path(), "emulate", str(IMAGE), "--opening", "3", "--object", "40", "--speed", "1"]
+    line = [command_path(), "dev", "emulate", str(IMAGE), "--opening", "3", "--object", "40", "--speed", "1"]
     log = tmp_path_factory.mktemp("emulator") / "log"
     with log.open("w") as out:
         emulator = subprocess.Popen(line, stdout=out, stderr=out)
@@ -33,7 +33,7 @@ def bus(tmp_path_factory):
             time.sleep(0.1)
             addresses = dict(re.findall(r"--(port|can) (\S+)", log.read_text()))
         # An emulated gripper is slow where the machine is busy.
-        slow = ["parameter", "command_timeout", "500", "--port", addresses["port"]]
+        slow = ["board", "parameter", "command_timeout", "500", "--port", addresses["port"]]
         subprocess.run([command_path(), *slow], check=True, capture_output=True)
         with magpie.Gripper(can=addresses["can"]) as gripper:
             gripper.grasp(position_mm=50, home=True)

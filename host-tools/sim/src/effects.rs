@@ -258,12 +258,7 @@ pub struct EffectKind {
     pub covariates: &'static [&'static str],
 }
 
-impl EffectKind {
-    /// True for an effect that [`crate::campaign`] simulates and the closed loop does not.
-    pub fn is_campaign_only(&self) -> bool {
-        !self.is_in_catalogue && self.id != uncatalogued::SCREW_RIPPLE.id
-    }
-}
+impl EffectKind {}
 
 /// All simulated effects in the order of their random streams: those of the catalogue, and those outside of it.
 pub static EFFECT_KINDS: LazyLock<Vec<EffectKind>> = LazyLock::new(|| {

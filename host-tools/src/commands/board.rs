@@ -1,4 +1,4 @@
-//! `magpie board`: shows which calibration runs on a gripper, and what was measured of its drive.
+//! `magpie board`: shows which calibration runs on a gripper, and what was measured of its drive; commands that configure it.
 
 use std::time::{Duration, Instant};
 
@@ -14,20 +14,38 @@ use report::text::terminal;
 use serde_json::json;
 
 use crate::commands::connection::PortArgs;
+use crate::commands::{bringup, identify, key, parameter, tare};
 
-/// Show which calibration runs on a gripper: hash, campaign, date, effects, and what it cannot compensate at present; and
-/// whether motor and screw were measured.
+/// Show calibration and state; tare, measure, set parameters and key; bring a board up.
+///
+/// Without a command: hash, campaign, date and effects of the calibration, what it cannot compensate at present, and whether motor
+/// and screw were measured.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "\
+#[command(
+    args_conflicts_with_subcommands = true,
+    after_help = "\
 Examples:
   cargo magpie board --port /dev/ttyACM0
-  cargo magpie board --can can0 --json")]
+  cargo magpie board --can can0 --json
+  cargo magpie board tare --port /dev/ttyACM0"
+)]
 pub struct Args {
+    #[command(subcommand)]
+    command: Option<BoardCommand>,
     #[command(flatten)]
     port: PortArgs,
     /// Print one JSON object on stdout and nothing else.
     #[arg(long)]
     json: bool,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum BoardCommand {
+    Bringup(bringup::Args),
+    Tare(tare::Args),
+    Identify(identify::Args),
+    Parameter(parameter::Args),
+    Key(key::Args),
 }
 
 /// Time in which the gripper sends the forces of all sensors.
@@ -37,6 +55,17 @@ const HEARTBEAT: Duration = Duration::from_secs(3);
 
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
+    match &args.command {
+        Some(BoardCommand::Bringup(args)) => bringup::run(args),
+        Some(BoardCommand::Tare(args)) => tare::run(args),
+        Some(BoardCommand::Identify(args)) => identify::run(args),
+        Some(BoardCommand::Parameter(args)) => parameter::run(args),
+        Some(BoardCommand::Key(args)) => key::run(args),
+        None => show(args),
+    }
+}
+
+fn show(args: &Args) -> Result<()> {
     let mut source = args.port.open_given()?;
     let running = calibration_client::running(source.as_mut())?;
     let state = observe(source.as_mut())?;
@@ -84,14 +113,14 @@ fn drive_text(is_commissioned: bool, is_on_bench: bool, screw: &str) -> String {
     let motor = if is_commissioned {
         "measured"
     } else {
-        "assumed constants, not measured (`cargo magpie identify motor`)"
+        "assumed constants, not measured (`cargo magpie board identify motor`)"
     };
     let screw = match screw {
-        "unknown" => "unknown, treated as backdrivable (`cargo magpie identify screw`)",
+        "unknown" => "unknown, treated as backdrivable (`cargo magpie board identify screw`)",
         known => known,
     };
     let limits = if is_on_bench {
-        "of the bench: 2 A, 10 mm/s, 20 N (`cargo magpie bringup`)"
+        "of the bench: 2 A, 10 mm/s, 20 N (`cargo magpie board bringup`)"
     } else {
         "of the gripper"
     };
@@ -110,7 +139,7 @@ fn state_text(state: &GripperState) -> String {
 fn key_text(state: &GripperState) -> &'static str {
     match state.heartbeat {
         Some(latest) if latest.value.unprotected => {
-            "key          none: everybody on the bus can move the gripper (`cargo magpie key --help`)\n"
+            "key          none: everybody on the bus can move the gripper (`cargo magpie board key --help`)\n"
         }
         Some(_) => "key          stored\n",
         None => "key          unknown: no heartbeat\n",

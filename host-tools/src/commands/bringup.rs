@@ -1,4 +1,4 @@
-//! `magpie bringup`: the first power-up of a board, step by step.
+//! `magpie board bringup`: the first power-up of a board, step by step.
 
 use std::io::{BufRead, Write, stdin};
 use std::path::{Path, PathBuf};
@@ -20,10 +20,10 @@ use crate::commands::connection::{PortArgs, parse_seconds};
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
-  cargo magpie bringup --port /dev/ttyACM0
-  cargo magpie bringup --port /dev/ttyACM0 --torque-constant 0.065 --by 'A. Engineer'
-  cargo magpie bringup --port /dev/ttyACM0 --again 8     # from step 8 on
-  cargo magpie bringup --list")]
+  cargo magpie board bringup --port /dev/ttyACM0
+  cargo magpie board bringup --port /dev/ttyACM0 --torque-constant 0.065 --by 'A. Engineer'
+  cargo magpie board bringup --port /dev/ttyACM0 --again 8     # from step 8 on
+  cargo magpie board bringup --list")]
 pub struct Args {
     #[command(flatten)]
     port: PortArgs,

@@ -11,7 +11,7 @@ use analysis::data_quality::fix;
 use report::text::comparison::{format_report, to_json};
 use report::text::terminal;
 
-/// Evaluate a model on recordings: residuals, noise floor, and what the residuals depend on.
+/// Evaluate a model: residuals, noise floor, and what the residuals depend on.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -23,7 +23,7 @@ pub struct Args {
     #[command(flatten)]
     common: CompareArgs,
     /// A second model, evaluated on the same rows.
-    #[arg(long, alias = "with", value_name = "OTHER")]
+    #[arg(long, value_name = "OTHER")]
     baseline: Option<PathBuf>,
     /// Write corrected copies of the recordings: all setup errors with an unambiguous correction.
     #[arg(long, value_name = "NEW")]

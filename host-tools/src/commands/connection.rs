@@ -73,7 +73,7 @@ pub struct PortArgs {
     /// Serial port, such as /dev/ttyACM0.
     #[arg(long, value_name = "PATH", conflicts_with = "can")]
     port: Option<String>,
-    /// CAN bus: an interface such as can0 (Linux), or HOST:PORT of `magpie emulate` or socketcand.
+    /// CAN bus: an interface such as can0 (Linux), or HOST:PORT of `magpie dev emulate` or socketcand.
     #[arg(long, value_name = "BUS")]
     can: Option<String>,
     /// Node number of the gripper on the CAN bus.
@@ -286,7 +286,7 @@ fn default_model() -> Result<DeviceModel> {
 /// States that a gripper has no key.
 pub fn print_unprotected(name: &str) {
     eprintln!(
-        "note: {name}: the gripper is unprotected, everybody on its bus can move it; see `cargo magpie key --help`"
+        "note: {name}: the gripper is unprotected, everybody on its bus can move it; see `cargo magpie board key --help`"
     );
 }
 

@@ -1,4 +1,4 @@
-//! `magpie dbc`: writes the CAN messages as a DBC file.
+//! `magpie dev dbc`: writes the CAN messages as a DBC file.
 
 use analysis::numbers;
 use std::fmt::Write as _;
@@ -27,8 +27,8 @@ const NODES: std::ops::RangeInclusive<i64> = 1..=63;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
-  cargo magpie dbc > magpie.dbc
-  cargo magpie dbc --node 17 -o right-hand.dbc")]
+  cargo magpie dev dbc > magpie.dbc
+  cargo magpie dev dbc --node 17 -o right-hand.dbc")]
 pub struct Args {
     /// Node number of the gripper: identifiers start at 32 times this number.
     #[arg(long, default_value_t = DEFAULT_NODE, value_parser = clap::value_parser!(u16).range(NODES))]

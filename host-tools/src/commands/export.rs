@@ -1,4 +1,4 @@
-//! `magpie export`: writes the device tables as Rust source, or recordings with the device's estimates as MCAP files.
+//! `magpie dev export`: writes the device tables as Rust source, or recordings with the device's estimates as MCAP files.
 
 use std::path::{Path, PathBuf};
 
@@ -20,10 +20,10 @@ use report::text::terminal;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
-  cargo magpie export model.toml -o my-tables.rs
-  cargo magpie export model.toml --network network.safetensors -o my-tables.rs
+  cargo magpie dev export model.toml -o my-tables.rs
+  cargo magpie dev export model.toml --network network.safetensors -o my-tables.rs
   # for Foxglove, PlotJuggler and Python
-  cargo magpie export model.toml --mcap my-campaign -o mcap-files
+  cargo magpie dev export model.toml --mcap my-campaign -o mcap-files
   MAGPIE_TABLES=my-tables.rs cargo image")]
 pub struct Args {
     /// Model file written by `magpie fit`.

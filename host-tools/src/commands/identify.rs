@@ -1,4 +1,4 @@
-//! `magpie identify`: measures the motor or the screw of a gripper.
+//! `magpie board identify`: measures the motor or the screw of a gripper.
 
 use analysis::numbers;
 use anyhow::Result;
@@ -21,8 +21,8 @@ use crate::commands::connection::PortArgs;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
-  cargo magpie identify motor --port /dev/ttyACM0 --save
-  cargo magpie identify screw --can can0 --save         # a rigid part between the fingers")]
+  cargo magpie board identify motor --port /dev/ttyACM0 --save
+  cargo magpie board identify screw --can can0 --save         # a rigid part between the fingers")]
 pub struct Args {
     /// What to measure.
     #[arg(value_enum)]

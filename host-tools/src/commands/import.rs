@@ -11,7 +11,7 @@ use crate::commands::print_notes;
 use report::text::import::{format_import, format_proposal, proposal_json, to_json};
 use report::text::terminal;
 
-/// Convert measurement tables to a campaign with a mapping file (columns, units, scale, clocks).
+/// Convert measurement tables to a campaign with a mapping file.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:

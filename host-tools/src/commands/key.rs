@@ -1,4 +1,4 @@
-//! `magpie key`: the key that a gripper and its hosts share.
+//! `magpie board key`: the key that a gripper and its hosts share.
 
 use std::path::PathBuf;
 
@@ -21,11 +21,11 @@ use crate::commands::connection::PortArgs;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
-  cargo magpie key new key.txt
+  cargo magpie board key new key.txt
   # the first one, or with the button pressed
-  cargo magpie key write key.txt --port /dev/ttyACM0
-  cargo magpie key write new.txt --port /dev/ttyACM0 --key key.txt    # replaces it
-  cargo magpie key erase --port /dev/ttyACM0 --key key.txt")]
+  cargo magpie board key write key.txt --port /dev/ttyACM0
+  cargo magpie board key write new.txt --port /dev/ttyACM0 --key key.txt    # replaces it
+  cargo magpie board key erase --port /dev/ttyACM0 --key key.txt")]
 pub struct Args {
     #[command(subcommand)]
     action: Action,
@@ -37,11 +37,13 @@ pub struct Args {
 #[derive(Debug, Subcommand)]
 enum Action {
     /// Create a file with a random key, readable by its owner only.
+    #[command(after_help = "Example:\n  cargo magpie board key new key.txt")]
     New {
         /// File to create; an existing one is never overwritten.
         file: PathBuf,
     },
     /// Write the key of a file to a gripper.
+    #[command(after_help = "Example:\n  cargo magpie board key write key.txt --port /dev/ttyACM0")]
     Write {
         /// File with the new key.
         file: PathBuf,
@@ -49,6 +51,9 @@ enum Action {
         port: PortArgs,
     },
     /// Erase the key of a gripper, which is unprotected then.
+    #[command(
+        after_help = "Example:\n  cargo magpie board key erase --port /dev/ttyACM0 --key key.txt"
+    )]
     Erase {
         #[command(flatten)]
         port: PortArgs,

@@ -1,8 +1,6 @@
 //! The command line: one module for each command; [`args`] and [`connection`] are shared by several.
 
 pub mod args;
-pub mod bench;
-pub mod benchmark;
 pub mod board;
 pub mod bringup;
 pub mod compare;
@@ -15,7 +13,6 @@ pub mod edit_model;
 pub mod effects;
 pub mod emulate;
 pub mod export;
-pub mod fault_campaign;
 pub mod fit;
 pub mod grasp;
 pub mod identify;
@@ -39,7 +36,7 @@ use std::sync::atomic::AtomicBool;
 
 use analysis::notes::{ErrorWithNotes, Note};
 use anyhow::Context;
-use clap::{CommandFactory, Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use device::control::result_code::ResultCode;
 use firmware::sensors::hall::SENSORS;
 use model_export::inverse::build::{DeviceModel, ExportHeader};
@@ -57,86 +54,120 @@ struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     Demo(demo::Args),
+    Import(import::Args),
     Fit(fit::Args),
     Compare(compare::Args),
     Diagnose(diagnose::Args),
-    Workbench(workbench::Args),
-    Import(import::Args),
-    Effects(effects::Args),
     Add(edit_model::AddArgs),
-    #[command(alias = "drop")]
     Remove(edit_model::RemoveArgs),
-    Export(export::Args),
-    Upload(upload::Args),
-    Board(board::Args),
-    Bringup(bringup::Args),
-    Tare(tare::Args),
-    Identify(identify::Args),
-    Parameter(parameter::Args),
-    Key(key::Args),
     Replay(replay::Args),
-    Simulate(simulate::Args),
     Train(train::Args),
-    Benchmark(benchmark::Args),
-    Monitor(monitor::Args),
+    Workbench(workbench::Args),
+    Simulate(simulate::Args),
+    Board(board::Args),
+    Upload(upload::Args),
     Record(record::Args),
-    Emulate(emulate::Args),
-    Bench(bench::Args),
-    Dbc(dbc::Args),
-    #[command(alias = "grip")]
+    Monitor(monitor::Args),
     Grasp(grasp::Args),
     Design(design::Args),
-    #[command(alias = "faults")]
-    FaultCampaign(fault_campaign::Args),
+    #[command(hide = true)]
+    Effects(effects::Args),
+    #[command(
+        subcommand,
+        hide = true,
+        about = "Commands for developers",
+        arg_required_else_help = true
+    )]
+    Dev(DevCommand),
+}
+
+#[derive(Debug, Subcommand)]
+enum DevCommand {
+    Export(export::Args),
+    Emulate(emulate::Args),
+    Dbc(dbc::Args),
     Completions(shell::CompletionsArgs),
     Man(shell::ManArgs),
 }
 
+/// Groups of the list of commands.
+const GROUPS: [(&str, &[&str]); 4] = [
+    (
+        "Analyse data",
+        &[
+            "demo",
+            "import",
+            "fit",
+            "compare",
+            "diagnose",
+            "add",
+            "remove",
+            "replay",
+            "train",
+            "workbench",
+        ],
+    ),
+    ("Simulate", &["simulate"]),
+    ("Operate a gripper", &["board", "upload", "record", "monitor", "grasp"]),
+    ("Design a sensor", &["design"]),
+];
+
+/// Former name of a command, and its group now.
+const MOVED: [(&str, &str); 10] = [
+    ("bringup", "board"),
+    ("identify", "board"),
+    ("key", "board"),
+    ("parameter", "board"),
+    ("tare", "board"),
+    ("completions", "dev"),
+    ("dbc", "dev"),
+    ("emulate", "dev"),
+    ("export", "dev"),
+    ("man", "dev"),
+];
+
+/// Former name of a command that became an acceptance run, and this run.
+const ACCEPTANCE_RUNS: [(&str, &str); 3] = [
+    ("bench", "calibration"),
+    ("benchmark", "force-estimators"),
+    ("fault-campaign", "fault-campaign"),
+];
+
 /// The parser of the command line.
 pub fn parser() -> clap::Command {
-    Cli::command()
+    let cli = Cli::command();
+    let mut list = String::new();
+    for (heading, names) in GROUPS {
+        list += &format!("{heading}:\n");
+        for command in names.iter().filter_map(|name| cli.find_subcommand(name)) {
+            let about = command.get_about().map(ToString::to_string).unwrap_or_default();
+            list += &format!("  {:<10} {about}\n", command.get_name());
+        }
+        list.push('\n');
+    }
+    list += "magpie effects: the catalogue of physical effects. magpie dev: commands for developers.\n\
+             magpie COMMAND --help: options and examples of a command.";
+    cli.help_template("{about-with-newline}\n{usage-heading} {usage}{after-help}").after_help(list)
 }
 
 /// Runs a command. Errors are printed on stderr as one sentence.
 pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
-    let cli = match Cli::try_parse_from(replace_former_name(arguments)) {
+    let mut arguments: Vec<OsString> = arguments.into_iter().collect();
+    let is_first = |name: &str| arguments.get(1).is_some_and(|argument| argument == name);
+    if let Some((name, run)) = ACCEPTANCE_RUNS.into_iter().find(|(name, _)| is_first(name)) {
+        eprintln!("magpie: `{name}` is now an acceptance run: cargo acceptance {run}");
+        return ExitCode::from(USAGE_ERROR);
+    }
+    if let Some((name, group)) = MOVED.into_iter().find(|(name, _)| is_first(name)) {
+        eprintln!("note: `magpie {name}` is now `magpie {group} {name}`");
+        arguments.insert(1, group.into());
+    }
+    let matches = parser().try_get_matches_from(arguments);
+    let cli = match matches.and_then(|matches| Cli::from_arg_matches(&matches)) {
         Ok(cli) => cli,
         Err(error) => error.exit(),
     };
-    let result = match cli.command {
-        Command::Demo(args) => demo::run(&args),
-        Command::Fit(args) => fit::run(&args),
-        Command::Compare(args) => compare::run(&args),
-        Command::Diagnose(args) => diagnose::run(&args),
-        Command::Workbench(args) => workbench::run(&args),
-        Command::Import(args) => import::run(&args),
-        Command::Effects(args) => effects::run(&args),
-        Command::Add(args) => edit_model::run_add(&args),
-        Command::Remove(args) => edit_model::run_remove(&args),
-        Command::Export(args) => export::run(&args),
-        Command::Upload(args) => upload::run(&args),
-        Command::Board(args) => board::run(&args),
-        Command::Bringup(args) => bringup::run(&args),
-        Command::Tare(args) => tare::run(&args),
-        Command::Identify(args) => identify::run(&args),
-        Command::Parameter(args) => parameter::run(&args),
-        Command::Key(args) => key::run(&args),
-        Command::Replay(args) => replay::run(&args),
-        Command::Simulate(args) => simulate::run(&args),
-        Command::Train(args) => train::run(&args),
-        Command::Benchmark(args) => benchmark::run(&args),
-        Command::Monitor(args) => monitor::run(&args),
-        Command::Record(args) => record::run(&args),
-        Command::Emulate(args) => emulate::run(&args),
-        Command::Bench(args) => bench::run(&args),
-        Command::Dbc(args) => dbc::run(&args),
-        Command::Grasp(args) => grasp::run(&args),
-        Command::Design(args) => design::run(&args),
-        Command::FaultCampaign(args) => fault_campaign::run(&args),
-        Command::Completions(args) => shell::run_completions(&args),
-        Command::Man(args) => shell::run_man(&args),
-    };
-    match result {
+    match execute(&cli.command) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             if let Some(error) = error.downcast_ref::<ErrorWithNotes>() {
@@ -148,6 +179,36 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     }
 }
 
+fn execute(command: &Command) -> anyhow::Result<()> {
+    match command {
+        Command::Demo(args) => demo::run(args),
+        Command::Import(args) => import::run(args),
+        Command::Fit(args) => fit::run(args),
+        Command::Compare(args) => compare::run(args),
+        Command::Diagnose(args) => diagnose::run(args),
+        Command::Add(args) => edit_model::run_add(args),
+        Command::Remove(args) => edit_model::run_remove(args),
+        Command::Replay(args) => replay::run(args),
+        Command::Train(args) => train::run(args),
+        Command::Workbench(args) => workbench::run(args),
+        Command::Simulate(args) => simulate::run(args),
+        Command::Board(args) => board::run(args),
+        Command::Upload(args) => upload::run(args),
+        Command::Record(args) => record::run(args),
+        Command::Monitor(args) => monitor::run(args),
+        Command::Grasp(args) => grasp::run(args),
+        Command::Design(args) => design::run(args),
+        Command::Effects(args) => effects::run(args),
+        Command::Dev(DevCommand::Export(args)) => export::run(args),
+        Command::Dev(DevCommand::Emulate(args)) => emulate::run(args),
+        Command::Dev(DevCommand::Dbc(args)) => dbc::run(args),
+        Command::Dev(DevCommand::Completions(args)) => shell::run_completions(args),
+        Command::Dev(DevCommand::Man(args)) => shell::run_man(args),
+    }
+}
+
+/// Exit status of wrong arguments, as of the parser.
+const USAGE_ERROR: u8 = 2;
 /// Exit status of a process that Ctrl-C ended.
 const INTERRUPTED: i32 = ResultCode::Interrupted.status() as i32;
 
@@ -201,16 +262,4 @@ fn print_missing_sensors(header: &ExportHeader) {
             header.sensors
         );
     }
-}
-
-/// Replaces `train --table`, the former name of `benchmark`.
-fn replace_former_name(arguments: impl IntoIterator<Item = OsString>) -> Vec<OsString> {
-    let mut arguments: Vec<OsString> = arguments.into_iter().collect();
-    if arguments.get(1).is_some_and(|command| command == "train")
-        && let Some(table) = arguments.iter().position(|argument| argument == "--table")
-    {
-        arguments.remove(table);
-        arguments[1] = "benchmark".into();
-    }
-    arguments
 }

@@ -26,7 +26,7 @@ use firmware::protocol::host_session::service;
 Examples:
   cargo magpie monitor --port /dev/ttyACM0
   cargo magpie monitor --can can0 --node 16
-  cargo magpie monitor --can 127.0.0.1:29536    # cargo magpie emulate or socketcand
+  cargo magpie monitor --can 127.0.0.1:29536    # cargo magpie dev emulate or socketcand
   cargo magpie monitor --virtual    # without hardware
   cargo magpie monitor --virtual --unplug 2@5 --seconds 10 | cat
   cargo magpie monitor --port /dev/ttyACM0 --json | jq '.sensors[0].fx_n'

@@ -1,4 +1,4 @@
-//! `magpie parameter`: lists and sets the parameters of a gripper.
+//! `magpie board parameter`: lists and sets the parameters of a gripper.
 
 use anyhow::{Context, Result, bail};
 use device::{calibration_client, params_client};
@@ -15,9 +15,9 @@ use crate::commands::connection::PortArgs;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
-  cargo magpie parameter --port /dev/ttyACM0
-  cargo magpie parameter node 17 --port /dev/ttyACM0 --save     # the second gripper on a bus
-  cargo magpie parameter lead 1 --port /dev/ttyACM0 --save      # the coarse screw")]
+  cargo magpie board parameter --port /dev/ttyACM0
+  cargo magpie board parameter node 17 --port /dev/ttyACM0 --save     # the second gripper on a bus
+  cargo magpie board parameter lead 1 --port /dev/ttyACM0 --save      # the coarse screw")]
 pub struct Args {
     /// Parameter to show or set [default: list all].
     name: Option<String>,

@@ -10,7 +10,7 @@ use report::text::terminal;
 use crate::commands::args::AlignArgs;
 use crate::commands::print_notes;
 
-/// Run every row of a campaign through the device code and compare the forces with the reference.
+/// Run a campaign through the device code and compare the forces with the reference.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:

@@ -1,4 +1,4 @@
-//! `magpie completions` and `magpie man`: completion of the command line in a shell, and manual pages.
+//! `magpie dev completions` and `magpie dev man`: completion of the command line in a shell, and manual pages.
 
 use std::path::PathBuf;
 
@@ -12,8 +12,8 @@ use crate::commands::parser;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
-  cargo magpie completions bash > ~/.local/share/bash-completion/completions/magpie
-  cargo magpie completions fish > ~/.config/fish/completions/magpie.fish")]
+  cargo magpie dev completions bash > ~/.local/share/bash-completion/completions/magpie
+  cargo magpie dev completions fish > ~/.config/fish/completions/magpie.fish")]
 pub struct CompletionsArgs {
     /// The shell.
     shell: Shell,
@@ -30,8 +30,8 @@ pub fn run_completions(args: &CompletionsArgs) -> Result<()> {
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
-  cargo magpie man ~/.local/share/man/man1
-  cargo magpie man pages && man pages/magpie-fit.1")]
+  cargo magpie dev man ~/.local/share/man/man1
+  cargo magpie dev man pages && man pages/magpie-fit.1")]
 pub struct ManArgs {
     /// Folder for the pages; existing ones are replaced.
     folder: PathBuf,
@@ -41,7 +41,9 @@ pub struct ManArgs {
 pub fn run_man(args: &ManArgs) -> Result<()> {
     let place = args.folder.display();
     std::fs::create_dir_all(&args.folder).with_context(|| format!("{place} cannot be made"))?;
-    clap_mangen::generate_to(parser(), &args.folder)
+    // No page is generated for hidden commands.
+    let all = parser().mut_subcommands(|command| command.hide(false));
+    clap_mangen::generate_to(all, &args.folder)
         .with_context(|| format!("{place} cannot be written"))?;
     Ok(terminal::print(&format!("Manual pages of magpie and its commands in {place}.\n"))?)
 }

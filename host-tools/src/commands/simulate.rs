@@ -29,7 +29,7 @@ pub struct Args {
     #[arg(long = "effect", value_name = "ID[=MAGNITUDE]", value_parser = parse_effect)]
     effects: Vec<Effect>,
     /// Add N random effects, recorded only in the truth file.
-    #[arg(long, alias = "hide", value_name = "N", conflicts_with = "effects")]
+    #[arg(long, value_name = "N", conflicts_with = "effects")]
     random_effects: Option<usize>,
     /// Factor on the typical magnitudes of random effects.
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0, requires = "random_effects")]

@@ -1,4 +1,4 @@
-//! `magpie tare`: defines the present forces of a gripper as zero.
+//! `magpie board tare`: defines the present forces of a gripper as zero.
 
 use anyhow::Result;
 use device::calibration_client;
@@ -17,8 +17,8 @@ use crate::commands::connection::PortArgs;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
-  cargo magpie tare --port /dev/ttyACM0
-  cargo magpie tare --can can0 --save         # kept over a reboot")]
+  cargo magpie board tare --port /dev/ttyACM0
+  cargo magpie board tare --can can0 --save         # kept over a reboot")]
 pub struct Args {
     #[command(flatten)]
     port: PortArgs,

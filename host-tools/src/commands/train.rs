@@ -28,76 +28,6 @@ use report::text::training::{format_report, to_json};
 /// Trainings that may take longer than this announce it.
 const ANNOUNCED: Duration = Duration::from_secs(30);
 
-/// Arguments of `train` and `benchmark`.
-#[derive(Debug, clap::Args)]
-pub struct TrainingArgs {
-    /// Model file written by `magpie fit`.
-    pub model: PathBuf,
-    /// Folder of at least two recordings.
-    pub campaign: PathBuf,
-    /// Smaller networks and fewer epochs: a first impression in a small part of the time.
-    #[arg(long)]
-    pub quick: bool,
-    /// Units of each of the two layers [default: 16, 32 with --shared, or 8 with --quick].
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=MAX_HIDDEN as i64))]
-    pub hidden: Option<u16>,
-    /// Held-out recording, counted from 1 in the campaign's order [default: the last].
-    #[arg(long, value_name = "NUMBER")]
-    pub hold_out: Option<usize>,
-    /// Maximum number of epochs [default: 80, or 15 with --quick].
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
-    pub epochs: Option<u32>,
-    /// Early stopping: epochs without a better held-out likelihood.
-    #[arg(long, value_name = "N", default_value_t = DEFAULT_PATIENCE, value_parser = clap::value_parser!(u32).range(1..))]
-    pub patience: u32,
-    /// Initial learning rate; it decreases to a hundredth.
-    #[arg(long, default_value_t = DEFAULT_RATE)]
-    pub rate: f64,
-    /// Weight of rows without force in the likelihood: 1 + (WEIGHT - 1) exp(-(F / W)^2 / 2), where W is a tenth of the force range
-    /// [default: 1, or 4 in the benchmark's weighted variant].
-    #[arg(long, alias = "near-zero", value_name = "WEIGHT")]
-    pub zero_weight: Option<f64>,
-    /// Seed of the initial weights.
-    #[arg(long, default_value_t = 1)]
-    pub seed: u64,
-    /// Clock alignment.
-    #[command(flatten)]
-    pub align: AlignArgs,
-    /// Print one JSON object on stdout and nothing else.
-    #[arg(long)]
-    pub json: bool,
-}
-
-impl TrainingArgs {
-    /// Checks the ranges that the parser does not check.
-    pub fn check(&self) -> Result<()> {
-        // The range of the forces is known once the recordings are read.
-        check_settings(&self.settings(0.0), self.hidden(false))
-            .map_err(|error| anyhow!("--{error}"))
-    }
-
-    /// Units per layer.
-    pub fn hidden(&self, is_shared: bool) -> usize {
-        self.hidden.map_or_else(|| default_hidden(is_shared, self.quick), usize::from)
-    }
-
-    fn epochs(&self) -> u32 {
-        self.epochs.unwrap_or_else(|| default_epochs(self.quick))
-    }
-
-    /// Settings of the trainer for sensors with this force range.
-    pub fn settings(&self, force_range_n: f64) -> TrainingSettings {
-        TrainingSettings {
-            seed: self.seed,
-            epochs: self.epochs(),
-            patience: self.patience,
-            rate: self.rate,
-            near_zero: self.zero_weight.unwrap_or(1.0),
-            force_range_n,
-        }
-    }
-}
-
 /// Train a recurrent network that estimates each force with its standard deviation.
 ///
 /// The inputs are those on the gripper: the field after the device's compensation, at the sampling rate of the board.
@@ -111,8 +41,40 @@ Examples:
   cargo magpie train model.toml my-campaign -o network.safetensors \\
     --checkpoint training.safetensors --resume")]
 pub struct Args {
+    /// Model file written by `magpie fit`.
+    model: PathBuf,
+    /// Folder of at least two recordings.
+    campaign: PathBuf,
+    /// Smaller networks and fewer epochs: a first impression in a small part of the time.
+    #[arg(long)]
+    quick: bool,
+    /// Units of each of the two layers [default: 16, 32 with --shared, or 8 with --quick].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=MAX_HIDDEN as i64))]
+    hidden: Option<u16>,
+    /// Held-out recording, counted from 1 in the campaign's order [default: the last].
+    #[arg(long, value_name = "NUMBER")]
+    hold_out: Option<usize>,
+    /// Maximum number of epochs [default: 80, or 15 with --quick].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    epochs: Option<u32>,
+    /// Early stopping: epochs without a better held-out likelihood.
+    #[arg(long, value_name = "N", default_value_t = DEFAULT_PATIENCE, value_parser = clap::value_parser!(u32).range(1..))]
+    patience: u32,
+    /// Initial learning rate; it decreases to a hundredth.
+    #[arg(long, default_value_t = DEFAULT_RATE)]
+    rate: f64,
+    /// Weight of rows without force in the likelihood: 1 + (WEIGHT - 1) exp(-(F / W)^2 / 2), where W is a tenth of the force range.
+    #[arg(long, value_name = "WEIGHT", default_value_t = 1.0)]
+    zero_weight: f64,
+    /// Seed of the initial weights.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Clock alignment.
     #[command(flatten)]
-    common: TrainingArgs,
+    align: AlignArgs,
+    /// Print one JSON object on stdout and nothing else.
+    #[arg(long)]
+    json: bool,
     /// Network file to write.
     #[arg(short, long, value_name = "NETWORK")]
     output: Option<PathBuf>,
@@ -161,14 +123,12 @@ enum TargetArg {
     /// The force.
     Force,
     /// The residual of the ideal model.
-    #[value(alias = "rest")]
     Residual,
 }
 
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
-    let common = &args.common;
-    common.check()?;
+    args.check()?;
     if let Some(path) = &args.output {
         check_output(path, TensorFileKind::Network.mark())?;
     }
@@ -179,11 +139,11 @@ pub fn run(args: &Args) -> Result<()> {
         }
     }
     let start = Instant::now();
-    let alignment = common.align.alignment()?;
-    let data = TrainingData::read(&common.model, &common.campaign, common.hold_out, alignment)?;
+    let alignment = args.align.alignment()?;
+    let data = TrainingData::read(&args.model, &args.campaign, args.hold_out, alignment)?;
     print_notes(&data.notes);
     let mut trainer = Trainer::new(
-        common.settings(data.built.model.force_range_n()),
+        args.settings(data.built.model.force_range_n()),
         args.topology(),
         &data.training,
         &data.held_out,
@@ -194,19 +154,19 @@ pub fn run(args: &Args) -> Result<()> {
     }
     let evaluation = TrainingResult::of(&trainer, &data, start.elapsed())?;
     terminal::print_result(
-        common.json,
+        args.json,
         || to_json(&evaluation, &data.notes),
         || format_report(&evaluation),
     )?;
     if let Some(path) = &args.output {
         evaluation.network_file(&trainer, &data).write(path)?;
     }
-    if !common.json {
+    if !args.json {
         terminal::print(&match &args.output {
             Some(path) => format!(
                 "Written to {path}.\nNext: cargo magpie replay \"{}\" \"{}\" --network \"{path}\"\n",
-                common.model.display(),
-                common.campaign.display(),
+                args.model.display(),
+                args.campaign.display(),
                 path = path.display(),
             ),
             None => "Not written; use -o network.safetensors.\n".to_owned(),
@@ -216,6 +176,33 @@ pub fn run(args: &Args) -> Result<()> {
 }
 
 impl Args {
+    /// Checks the ranges that the parser does not check.
+    fn check(&self) -> Result<()> {
+        // The range of the forces is known once the recordings are read.
+        check_settings(&self.settings(0.0), self.units()).map_err(|error| anyhow!("--{error}"))
+    }
+
+    /// Units per layer.
+    fn units(&self) -> usize {
+        self.hidden.map_or_else(|| default_hidden(self.shared, self.quick), usize::from)
+    }
+
+    fn epochs(&self) -> u32 {
+        self.epochs.unwrap_or_else(|| default_epochs(self.quick))
+    }
+
+    /// Settings of the trainer for sensors with this force range.
+    fn settings(&self, force_range_n: f64) -> TrainingSettings {
+        TrainingSettings {
+            seed: self.seed,
+            epochs: self.epochs(),
+            patience: self.patience,
+            rate: self.rate,
+            near_zero: self.zero_weight,
+            force_range_n,
+        }
+    }
+
     fn topology(&self) -> Topology {
         Topology {
             axes: match self.axes {
@@ -228,7 +215,7 @@ impl Args {
                 TargetArg::Residual => Target::Residual,
             },
             shared: self.shared,
-            hidden: self.common.hidden(self.shared),
+            hidden: self.units(),
         }
     }
 }
@@ -245,7 +232,7 @@ fn train(args: &Args, trainer: &mut Trainer, key: &str) -> Result<Option<String>
             (false, _) => {}
         }
     }
-    let epochs = args.common.epochs();
+    let epochs = args.epochs();
     let bar = progress::epoch_bar("training", epochs, trainer.epoch);
     let start = Instant::now();
     let mut is_announced = false;
@@ -265,7 +252,7 @@ fn train(args: &Args, trainer: &mut Trainer, key: &str) -> Result<Option<String>
         }
         let longest = start.elapsed() * epochs.saturating_sub(trainer.epoch);
         if !is_announced && longest > ANNOUNCED {
-            bar.suspend(|| eprintln!("{}", announcement(&args.common, start.elapsed(), longest)));
+            bar.suspend(|| eprintln!("{}", announcement(args, start.elapsed(), longest)));
         }
         is_announced = true;
     }
@@ -274,13 +261,13 @@ fn train(args: &Args, trainer: &mut Trainer, key: &str) -> Result<Option<String>
 }
 
 /// How long a training takes, from the time of one epoch.
-fn announcement(common: &TrainingArgs, epoch: Duration, longest: Duration) -> String {
-    let quick = if common.quick { "" } else { "; --quick gives a first impression much sooner" };
+fn announcement(args: &Args, epoch: Duration, longest: Duration) -> String {
+    let quick = if args.quick { "" } else { "; --quick gives a first impression much sooner" };
     format!(
         "An epoch takes {:.1} s: at most {} more, less if {} epochs bring no improvement{quick}.",
         epoch.as_secs_f64(),
         HumanDuration(longest),
-        common.patience,
+        args.patience,
     )
 }
 

@@ -18,7 +18,7 @@ use serde_json::json;
 use crate::commands::connection::PortArgs;
 use crate::commands::{check_compensated, print_conditions, print_missing_sensors, print_notes};
 
-/// Upload a calibration to a gripper: force model, compensation and networks, without a compiler.
+/// Upload force model, compensation and networks to a gripper, without a compiler.
 ///
 /// The gripper must be disabled. It verifies the calibration, keeps the previous one until then, and runs the new one after
 /// a reboot, also when the power failed in between.
@@ -131,7 +131,7 @@ impl UploadedCalibration {
         let state = if waits { "runs after the next reboot" } else { "runs on the gripper" };
         format!(
             "Calibration {:04x} {state}: {:.1} KiB uploaded in {:.1} s.\n\
-             A tare belongs to the former calibration: repeat it without load (`cargo magpie tare`).\n",
+             A tare belongs to the former calibration: repeat it without load (`cargo magpie board tare`).\n",
             self.tables,
             self.bytes as f64 / 1024.0,
             self.took.as_secs_f64()

@@ -89,7 +89,7 @@ fn added_friction_and_temperature_reach_the_floor() {
     );
 
     // Without the effect the error is as before.
-    let remove = ["drop", "new.toml", &fitted.campaign, "magnet_temperature", "--json"];
+    let remove = ["remove", "new.toml", &fitted.campaign, "magnet_temperature", "--json"];
     let dropped = fitted.dir.json(&remove);
     let (with, without) = before_and_after(&dropped, "held_out_rms_g");
     assert!((with - after_g(&added)).abs() < 1e-9 && without > 1.0, "{with} {without}");
@@ -172,7 +172,7 @@ fn user_formula_of_a_ripple_runs_on_the_device() {
     let (before, after) =
         (number(&added["force"]["before"]["rms_n"]), number(&added["force"]["after"]["rms_n"]));
     assert!(before > 2.0 && after < 0.6, "{before} {after}");
-    fitted.dir.stdout("export new.toml -o tables.rs");
+    fitted.dir.stdout("dev export new.toml -o tables.rs");
     assert!(fitted.dir.read("tables.rs").contains("covariate: Covariate::Opening"));
 }
 
@@ -222,7 +222,7 @@ fn invalid_effect_is_refused_with_a_reason() {
         let message = fitted.dir.failure(&fitted.words(more));
         assert!(message.contains(words), "{more:?}: {message}");
     }
-    let message = fitted.dir.failure(&["drop", "model.toml", &fitted.campaign, "creep"]);
+    let message = fitted.dir.failure(&["remove", "model.toml", &fitted.campaign, "creep"]);
     assert!(message.contains("it has no effects"), "{message}");
 }
 
@@ -312,7 +312,7 @@ fn export_refuses_formula_unknown_to_the_board() {
     let device = &added["device"][0];
     assert_eq!((&device["effect"], &device["runs"]), (&"slow".into(), &false.into()));
     assert!(device["detail"].as_str().unwrap().contains("time_s"), "{device}");
-    let message = fitted.dir.failure("export new.toml -o tables.rs");
+    let message = fitted.dir.failure("dev export new.toml -o tables.rs");
     let is_named = message.contains("slow") && message.contains("the board does not know time_s");
     assert!(is_named, "{message}");
 }

@@ -140,7 +140,7 @@ fn model_of_another_gripper_is_noted() {
 fn json_has_all_documented_keys() {
     let dir = WorkDir::with_model("clean");
     let campaign = campaign("clean");
-    let arguments = ["compare", "model.toml", &campaign, "--json", "--with", "model.toml"];
+    let arguments = ["compare", "model.toml", &campaign, "--json", "--baseline", "model.toml"];
     let object = dir.json(&arguments);
     assert_eq!(object["axes"].as_array().unwrap().len(), 12);
     assert_eq!(object["forces"].as_array().unwrap().len(), 8);

@@ -114,7 +114,7 @@ fn what_other_loggers_recorded_is_diagnosed_in_newtons() {
                 dir.stdout(&words[2..]);
                 let better = words.last().unwrap();
                 dir.stdout(&["replay", better, &campaign]);
-                dir.stdout(&["export", better, "-o", "tables.rs"]);
+                dir.stdout(&["dev", "export", better, "-o", "tables.rs"]);
             }
         }
     });

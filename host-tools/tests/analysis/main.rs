@@ -1,4 +1,4 @@
-//! `magpie add`, `compare`, `demo`, `diagnose`, `effects`, `train` and `benchmark` on small campaigns, and setup errors in
+//! `magpie add`, `compare`, `demo`, `diagnose`, `effects` and `train` on small campaigns, and setup errors in
 //! them: one program, since each links the whole workspace.
 
 mod add;

@@ -78,7 +78,7 @@ fn turned_sensors_need_no_changed_column() {
         let [error_n, noise_n] = ["rmse_n", "noise_n"].map(|key| axis[key].as_f64().unwrap());
         assert!((0.8..1.3).contains(&(error_n / noise_n)), "{axis}");
     }
-    dir.stdout("export better.toml -o tables.rs");
+    dir.stdout("dev export better.toml -o tables.rs");
     let tables = dir.read("tables.rs");
     let maps: Vec<&str> =
         tables.lines().filter_map(|line| line.trim().strip_prefix("axes: ")).collect();

@@ -62,7 +62,7 @@ fn an_uploaded_calibration_runs_and_is_described() {
     let shown_nominal = shown(&dir, &line);
     assert_eq!(shown_nominal["calibration"]["variant"], "nominal design");
     assert_eq!(second["calibration"]["variant"], "fitted parameters");
-    let tared = dir.json(&format!("tare --unloaded --port {line} --json"));
+    let tared = dir.json(&format!("board tare --unloaded --port {line} --json"));
     assert_eq!(tared, serde_json::json!({ "tared": true, "saved": false }));
     dir.stdout(&format!("upload effect.toml --port {line}"));
 
@@ -107,7 +107,7 @@ fn what_a_board_cannot_load_is_refused_with_a_remedy() {
     ]);
     let refused =
         dir.failure(&format!("upload model.toml --network large.safetensors --port {line}"));
-    assert!(refused.contains("`cargo magpie export` and `cargo flash-image`"), "{refused}");
+    assert!(refused.contains("`cargo magpie dev export` and `cargo flash-image`"), "{refused}");
     assert_eq!(shown(&dir, &line)["calibration"]["slot"], Value::Null);
     let nobody = dir.failure("upload model.toml");
     assert!(nobody.contains("--port"), "{nobody}");
@@ -117,7 +117,7 @@ fn what_a_board_cannot_load_is_refused_with_a_remedy() {
     let scaled = model.replace("gauss_per_lsb = 0.125", "gauss_per_lsb = 0.1");
     fs::write(dir.path("scaled.toml"), &scaled).unwrap();
     for command in
-        [format!("upload scaled.toml --port {line}"), "export scaled.toml -o t.rs".to_owned()]
+        [format!("upload scaled.toml --port {line}"), "dev export scaled.toml -o t.rs".to_owned()]
     {
         let refused = dir.failure(&command);
         assert!(refused.contains("a count of its sensors is 0.1 G"), "{refused}");

@@ -105,11 +105,11 @@ fn devices_and_pipes_are_refused_as_files() {
             "import bench/recording.toml link -o imported",
             "design check link",
             "simulate -o made --design link",
-            "export link -o tables.rs",
+            "dev export link -o tables.rs",
             "replay link bench",
-            "emulate link",
+            "dev emulate link",
             "record --virtual --start-s 0 --reference - --reference-map link -o made",
-            "key write link --port line",
+            "board key write link --port line",
         ] {
             let message = refusal(&dir, command);
             let is_mapping_error = command.contains("bench/recording.toml");
@@ -124,7 +124,7 @@ fn devices_and_pipes_are_refused_as_files() {
 #[test]
 fn key_on_a_full_disk_leaves_no_file() {
     let dir = WorkDir::empty();
-    let magpie = dir.command("key new key.txt");
+    let magpie = dir.command("board key new key.txt");
     let limited = std::process::Command::new("sh")
         .args(["-c", "trap '' XFSZ; ulimit -f 0; exec \"$0\" \"$@\""])
         .arg(magpie.get_program())
@@ -136,9 +136,9 @@ fn key_on_a_full_disk_leaves_no_file() {
     assert_eq!(limited.status.code(), Some(1), "{message}");
     assert_eq!(message.lines().count(), 1, "{message}");
     assert!(!dir.path("key.txt").exists() && drafts(&dir).is_empty(), "{message}");
-    dir.stdout("key new key.txt");
+    dir.stdout("board key new key.txt");
     assert_eq!(dir.read("key.txt").trim().len(), 32);
-    assert!(refusal(&dir, "key new key.txt").contains("never overwritten"));
+    assert!(refusal(&dir, "board key new key.txt").contains("never overwritten"));
 }
 
 #[test]
@@ -213,7 +213,6 @@ fn implausible_numbers_are_refused_by_every_command() {
         ("fit bench", "--delay-ms"),
         ("train model.toml bench", "--rate"),
         ("train model.toml bench", "--zero-weight"),
-        ("benchmark model.toml bench", "--disturbance-hours"),
         ("simulate -o made", "--seconds"),
         ("simulate -o made", "--scatter"),
         ("simulate -o made", "--load"),
@@ -234,12 +233,11 @@ fn implausible_numbers_are_refused_by_every_command() {
         ("grasp --force 50", "--scatter"),
         ("grasp --foot 150", "--lasts"),
         ("grasp --position 20", "--from"),
-        ("fault-campaign", "--false-alarm-hours"),
-        ("emulate", "--seconds"),
-        ("emulate", "--opening"),
-        ("emulate", "--object"),
-        ("emulate --object 20", "--stiffness"),
-        ("emulate", "--speed"),
+        ("dev emulate", "--seconds"),
+        ("dev emulate", "--opening"),
+        ("dev emulate", "--object"),
+        ("dev emulate --object 20", "--stiffness"),
+        ("dev emulate", "--speed"),
     ];
     for (command, option) in options {
         // Below a positive quantity's range, or where zero is possible above it.
@@ -269,7 +267,7 @@ fn implausible_numbers_are_refused_by_every_command() {
         "design sweep --size gap=1e-320",
         "grasp --force 1e-320",
         "grasp --speed 1e-320",
-        "emulate --speed 1e-320",
+        "dev emulate --speed 1e-320",
     ] {
         let output = dir.run(command);
         assert!(matches!(output.status.code(), Some(1 | 2)), "{command}");

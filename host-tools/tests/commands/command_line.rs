@@ -62,34 +62,33 @@ fn error_is_one_line_on_stderr_with_exit_code_1() {
 #[test]
 fn help_of_every_command_has_an_example() {
     let dir = WorkDir::empty();
-    for command in [
-        "add",
-        "benchmark",
-        "compare",
-        "dbc",
-        "demo",
-        "design",
-        "diagnose",
-        "effects",
-        "emulate",
-        "export",
-        "fault-campaign",
-        "fit",
-        "grasp",
-        "import",
-        "monitor",
-        "record",
-        "remove",
-        "replay",
-        "simulate",
-        "train",
-    ] {
-        let help = text(&dir.stdout(&[command, "--help"]));
-        assert!(
-            help.contains("Examples:") && help.contains(&format!("  cargo magpie {command}")),
-            "{help}"
-        );
+    let parser = host_tools::commands::parser();
+    let mut commands: Vec<(String, &clap::Command)> = vec![(String::new(), &parser)];
+    let mut tested = 0;
+    while let Some((path, command)) = commands.pop() {
+        for inner in command.get_subcommands() {
+            commands.push((format!("{path}{} ", inner.get_name()), inner));
+        }
+        if command.has_subcommands() {
+            continue;
+        }
+        let help = text(&dir.stdout(&format!("{path}--help")));
+        let has_example =
+            help.contains("Example") && help.contains(&format!("  cargo magpie {path}"));
+        assert!(has_example, "{help}");
+        tested += 1;
     }
+    assert!(tested >= 28, "{tested} commands");
+}
+
+#[test]
+fn former_names_answer_with_the_new_place() {
+    let dir = WorkDir::empty();
+    let answer = |line: &str| text(&dir.run(line).stderr);
+    assert!(answer("tare").starts_with("note: `magpie tare` is now `magpie board tare`\n"));
+    assert!(answer("fault-campaign").contains("cargo acceptance fault-campaign"));
+    let dbc = dir.run("dbc");
+    assert_eq!(dbc.stdout, dir.run("dev dbc").stdout);
 }
 
 #[test]
@@ -139,7 +138,7 @@ fn invalid_model_parameter_is_rejected_by_name() {
         ("number = 1", "number = 0", "duplicate number"),
     ] {
         std::fs::write(dir.path("model.toml"), good.replacen(from, to, 1)).unwrap();
-        let output = dir.run("export model.toml -o tables.rs");
+        let output = dir.run("dev export model.toml -o tables.rs");
         assert_eq!(output.status.code(), Some(1));
         let message = text(&output.stderr);
         assert!(message.contains(words), "{to}: {message}");
@@ -176,9 +175,9 @@ fn polynomial_of_two_forces_gives_newtons_and_tables() {
         (replay["sensors"].as_array().unwrap().len(), &replay["nominal"]),
         (8, &Value::Null)
     );
-    dir.stdout("export better.toml -o tables.rs");
+    dir.stdout("dev export better.toml -o tables.rs");
     assert!(dir.read("tables.rs").contains("SensorTemperature"));
-    let message = dir.failure("export better.toml --nominal -o nominal.rs");
+    let message = dir.failure("dev export better.toml --nominal -o nominal.rs");
     assert!(message.contains("a polynomial of the forces has no nominal design"), "{message}");
 }
 
@@ -200,7 +199,7 @@ fn force_that_was_not_recorded_is_assumed_to_be_zero() {
         assert!(sensors.iter().all(|sensor| sensor["axis"] == "x"), "{replay}");
         let comparison = dir.json(&["compare", "model.toml", &lateral, "--json"]);
         assert_eq!(comparison["forces"].as_array().unwrap().len(), 4);
-        dir.stdout(&["export", "model.toml", "-o", &format!("{base}.rs")]);
+        dir.stdout(&["dev", "export", "model.toml", "-o", &format!("{base}.rs")]);
         let model = dir.read("model.toml");
         match base {
             "cylinder" => assert!(model.contains("assumed_zero = [\"z\"]"), "{model}"),
@@ -244,17 +243,17 @@ fn completions_and_manual_pages_cover_every_command() {
     let parser = host_tools::commands::parser();
     let names: Vec<&str> = parser.get_subcommands().map(clap::Command::get_name).collect();
     for shell in ["bash", "elvish", "fish", "powershell", "zsh"] {
-        let script = text(&dir.stdout(&["completions", shell]));
+        let script = text(&dir.stdout(&["dev", "completions", shell]));
         let missing: Vec<&&str> = names.iter().filter(|name| !script.contains(**name)).collect();
         assert!(missing.is_empty(), "{shell}: {missing:?}");
     }
-    let script = dir.stdout("completions bash");
+    let script = dir.stdout("dev completions bash");
     std::fs::write(dir.path("magpie.bash"), script).unwrap();
     let ask = "source magpie.bash; COMP_WORDS=(magpie diagno); COMP_CWORD=1; _magpie magpie diagno magpie; echo ${COMPREPLY[@]}";
     let mut bash = std::process::Command::new("bash");
     let answer = bash.args(["-c", ask]).current_dir(dir.0.path()).output().unwrap();
     assert_eq!(text(&answer.stdout).trim(), "diagnose", "{}", text(&answer.stderr));
-    dir.stdout("man pages");
+    dir.stdout("dev man pages");
     for name in names {
         let page = dir.read(&format!("pages/magpie-{name}.1"));
         assert!(page.contains(&format!("magpie\\-{}", name.replace('-', "\\-"))), "{page}");

@@ -100,7 +100,7 @@ impl Golden {
 #[test]
 fn committed_dbc_equals_the_output_of_the_command() {
     let kept = include_str!("../../../firmware/magpie.dbc");
-    assert!(kept == dbc(DEFAULT_NODE), "run: cargo magpie dbc -o firmware/magpie.dbc");
+    assert!(kept == dbc(DEFAULT_NODE), "run: cargo magpie dev dbc -o firmware/magpie.dbc");
 }
 
 #[test]

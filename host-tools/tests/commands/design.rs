@@ -71,7 +71,7 @@ fn invalid_arguments_are_rejected_with_a_reason() {
     for (arguments, words) in [
         ("check none.toml", "none.toml"),
         ("optimize --range -3", "force in newtons"),
-        ("pick --range 1e6 --count 32", "none of 32 designs"),
+        ("optimize --range 1e6 --count 32", "none of 32 designs"),
         ("sweep --material cheese", "17-4PH"),
         ("sweep --size hole=1..2", "length, width"),
         ("sweep --sample random", "sobol, grid"),

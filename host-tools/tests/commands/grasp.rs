@@ -13,7 +13,7 @@ fn figure(json: &Value, name: &str) -> f64 {
 #[test]
 fn position_run_reaches_its_target_and_writes_a_page() {
     let dir = WorkDir::empty();
-    let json = dir.json("grip --position 20 -o page.html --json");
+    let json = dir.json("grasp --position 20 -o page.html --json");
     assert!((figure(&json, "final opening") - 20.0).abs() < 0.05);
     assert!(figure(&json, "current loop bandwidth (-3 dB)") >= 1000.0);
     assert_eq!(json["simulated"], true);
@@ -26,7 +26,7 @@ fn position_run_reaches_its_target_and_writes_a_page() {
 
 #[test]
 fn speed_run_brakes_within_0_5_mm() {
-    let json = WorkDir::empty().json("grip --speed -30 --screw b --json");
+    let json = WorkDir::empty().json("grasp --speed -30 --screw b --json");
     let points = json["points"].as_array().unwrap();
     let speed_mm_s = points[points.len() / 2]["closing_mm_s"].as_f64().unwrap();
     assert!((speed_mm_s + 30.0).abs() < 1.0, "{speed_mm_s}");
@@ -37,7 +37,7 @@ fn speed_run_brakes_within_0_5_mm() {
 #[test]
 fn grasp_is_compared_with_a_current_limit() {
     let dir = WorkDir::empty();
-    let json = dir.json("grip --force 50 --compare current-limit -o page.html --json");
+    let json = dir.json("grasp --force 50 --compare current-limit -o page.html --json");
     assert!((figure(&json, "peak force") - 50.0).abs() < 2.0);
     assert!(figure(&json["current_limit"], "peak force") > 300.0);
     let states = json["points"].as_array().unwrap().iter();
@@ -54,7 +54,7 @@ fn grasp_is_compared_with_a_current_limit() {
 #[test]
 fn landing_reports_latency_peak_and_centre() {
     let dir = WorkDir::empty();
-    let json = dir.json("grip --foot 150 -o page.html --json");
+    let json = dir.json("grasp --foot 150 -o page.html --json");
     let latency_ms = figure(&json, "contact detection latency");
     assert!((0.1..2.0).contains(&latency_ms), "{latency_ms}");
     assert_eq!(figure(&json, "motion of the fingers"), 0.0);
@@ -66,7 +66,7 @@ fn landing_reports_latency_peak_and_centre() {
 fn output_is_seeded_and_lists_assumed_constants() {
     let dir = WorkDir::empty();
     let report =
-        |seed: u8| text(&dir.stdout(&format!("grip --speed 20 --scatter 0.2 --seed {seed}")));
+        |seed: u8| text(&dir.stdout(&format!("grasp --speed 20 --scatter 0.2 --seed {seed}")));
     let first = report(3);
     assert_eq!(first, report(3));
     assert_ne!(first, report(4));
@@ -94,7 +94,7 @@ fn impossible_targets_are_rejected_with_a_reason() {
         ("--can 127.0.0.1:1 --speed 20", "in the simulation only"),
         ("--foot", "--foot 150"),
     ] {
-        let message = dir.failure(&format!("grip {arguments}"));
+        let message = dir.failure(&format!("grasp {arguments}"));
         assert!(message.contains(words), "{arguments}: {message}");
     }
 }
@@ -110,7 +110,7 @@ fn simulation_options_are_rejected_with_a_real_gripper() {
         "--seed 7",
         "--scatter 0.1",
     ] {
-        let message = dir.failure(&format!("grip --port /dev/nowhere --force 80 {option}"));
+        let message = dir.failure(&format!("grasp --port /dev/nowhere --force 80 {option}"));
         assert!(message.contains("cannot be used with"), "{option}: {message}");
     }
 }

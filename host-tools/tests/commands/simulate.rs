@@ -126,7 +126,7 @@ fn effects_outside_the_catalogue_change_the_data_and_all_combine() {
 #[test]
 fn campaigns_are_seeded_and_reproducible() {
     let dir = WorkDir::empty();
-    let hidden = ["--hide", "3", "--seconds", "4", "--noise", "ar1"];
+    let hidden = ["--random-effects", "3", "--seconds", "4", "--noise", "ar1"];
     let of = |name: &str, seed: &str| {
         let (path, _) = simulated(&dir, name, &[&hidden[..], &["--seed", seed]].concat());
         (contents(&path), dir.read(&format!("{name}-truth.toml")))
@@ -139,7 +139,7 @@ fn campaigns_are_seeded_and_reproducible() {
 #[test]
 fn random_effects_are_named_in_the_truth_only() {
     let dir = WorkDir::empty();
-    let arguments = ["--hide", "4", "--seconds", "4", "--seed", "9"];
+    let arguments = ["--random-effects", "4", "--seconds", "4", "--seed", "9"];
     let (path, stderr) = simulated(&dir, "riddle", &arguments);
     let (_, json) = simulated(&dir, "again", &[&arguments[..], &["--json"]].concat());
     let truth: toml::Table = dir.read("riddle-truth.toml").parse().unwrap();
@@ -211,7 +211,7 @@ fn empty_folder_is_used_and_invalid_settings_are_rejected() {
     let dir = WorkDir::empty();
     fs::create_dir(dir.path("empty")).unwrap();
     simulated(&dir, "empty", &["--seconds", "3"]);
-    for wrong in ["--seconds=1", "--scatter=NaN", "--field-noise=-1", "--hide=99"] {
+    for wrong in ["--seconds=1", "--scatter=NaN", "--field-noise=-1", "--random-effects=99"] {
         let output = dir.run(&["simulate", "-o", "wrong", wrong]);
         assert_eq!(output.status.code(), Some(1), "{}", text(&output.stderr));
         assert_eq!(text(&output.stderr).lines().count(), 1);

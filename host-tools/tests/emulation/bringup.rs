@@ -1,4 +1,4 @@
-//! The first power-up of a board that was never operated, by the steps of `magpie bringup`, and each planted fault at its step.
+//! The first power-up of a board that was never operated, by the steps of `magpie board bringup`, and each planted fault at its step.
 
 use std::cell::RefCell;
 use std::rc::Rc;

@@ -146,7 +146,7 @@ fn model(dir: &WorkDir, variant: Variant) {
         dir.stdout(&["fit", campaign, "-o", "base.toml"]);
         dir.stdout(&[&["add", "base.toml", campaign, "-o", "model.toml"], &effects[..]].concat());
     }
-    let mut export = vec!["export", "model.toml", "-o", "tables.rs"];
+    let mut export = vec!["dev", "export", "model.toml", "-o", "tables.rs"];
     if let Some(training) = variant.training() {
         let mut train = vec!["train", "model.toml", campaign, "-o", "networks.safetensors"];
         train.extend(training.split_whitespace());

@@ -1,4 +1,4 @@
-//! `magpie emulate` as a user meets it: other programs talk to the emulated board over its serial line and CAN bus. Where
+//! `magpie dev emulate` as a user meets it: other programs talk to the emulated board over its serial line and CAN bus. Where
 //! this machine has no compiler for the chip every test is listed as ignored; `EMULATION=required` makes that a failure.
 
 #[cfg(unix)]
@@ -112,7 +112,7 @@ mod unix {
 
     impl Emulation {
         pub fn start(dir: &WorkDir, image: &str, options: &str) -> Self {
-            let mut running = Running::start(dir, &format!("emulate {image} {options}"));
+            let mut running = Running::start(dir, &format!("dev emulate {image} {options}"));
             let mut message = BufReader::new(running.0.stderr.take().unwrap());
             let mut of = |option: &str| {
                 let mut line = String::new();
@@ -130,7 +130,7 @@ mod unix {
 
         /// Sets the longest timeout of commands that the gripper has: at half speed, a second.
         pub fn allow_delays(&self, dir: &WorkDir) {
-            dir.json(&format!("parameter command_timeout 500 --port {} --json", self.serial));
+            dir.json(&format!("board parameter command_timeout 500 --port {} --json", self.serial));
         }
 
         /// Ends it with Ctrl-C; what it measured.
@@ -155,7 +155,7 @@ mod unix {
     fn profile() -> Result<(), Failed> {
         let dir = WorkDir::empty();
         let image = path(Variant::Clean)?;
-        let measured = dir.json(&format!("emulate {image} --seconds 3 --speed max --json"));
+        let measured = dir.json(&format!("dev emulate {image} --seconds 3 --speed max --json"));
         assert_eq!(measured["ended_by"], "seconds");
         assert!((number(&measured["virtual_s"]) - 3.0).abs() < 0.002, "{measured}");
         assert!(number(&measured["share_of_real_time"]) > 0.0);
@@ -348,9 +348,9 @@ mod unix {
         let options = format!("--opening 3 --object 40 {SLOW}");
         let emulation = Emulation::start(&dir, &path(Variant::Nominal)?, &options);
         emulation.allow_delays(&dir);
-        let unhomed = dir.failure(&format!("grip --can {} --force 80", emulation.can));
+        let unhomed = dir.failure(&format!("grasp --can {} --force 80", emulation.can));
         assert!(unhomed.contains("give --home"), "{unhomed}");
-        let line = format!("grip --can {} --home --force 80 --seconds 2 --json", emulation.can);
+        let line = format!("grasp --can {} --home --force 80 --seconds 2 --json", emulation.can);
         let gripped = dir.json(&line);
         assert_eq!((&gripped["reached"], &gripped["disabled"]), (&true.into(), &true.into()));
         let states: Vec<_> =
@@ -364,15 +364,15 @@ mod unix {
         let held = held[held.len() / 2];
         assert!((number(&held["force_n"]) - 80.0).abs() < 4.0, "{held}");
         assert!((number(&held["opening_mm"]) - 40.0).abs() < 1.0, "{held}");
-        let line = format!("grip --port {} --position 60 --json", emulation.serial);
+        let line = format!("grasp --port {} --position 60 --json", emulation.serial);
         let moved = dir.json(&line);
         assert_eq!(moved["reached"], true, "{moved}");
-        let line = format!("grip --port {} --release 75 --json", emulation.serial);
+        let line = format!("grasp --port {} --release 75 --json", emulation.serial);
         let opened = dir.json(&line);
         assert_eq!(opened["reached"], true, "{opened}");
         let last = opened["points"].as_array().unwrap().last().unwrap();
         assert!(number(&last["opening_mm"]) > 70.0, "{last}");
-        let stopped = dir.json(&format!("grip --can {} --stop --json", emulation.can));
+        let stopped = dir.json(&format!("grasp --can {} --stop --json", emulation.can));
         assert_eq!(stopped["stopped"], true, "{stopped}");
         is_clean(&emulation.end());
         Ok(())
@@ -394,8 +394,8 @@ mod unix {
                 assert_eq!(command, "cargo image");
                 continue;
             };
-            if arguments[0] == "emulate" {
-                let line = arguments[1..].join(" ").replace("29536", "0");
+            if arguments[..2] == ["dev", "emulate"] {
+                let line = arguments[2..].join(" ").replace("29536", "0");
                 let started = Emulation::start(&dir, &image, &format!("{line} {SLOW}"));
                 started.allow_delays(&dir);
                 emulation = Some(started);
@@ -480,7 +480,7 @@ mod unix {
         let port = format!("--port {}", emulation.serial);
         // The object is between the fingers once they are open.
         dir.json(&format!("grasp {port} --home --position 50 --json"));
-        let found = dir.json(&format!("identify motor {port} --save --json"));
+        let found = dir.json(&format!("board identify motor {port} --save --json"));
         let value = |name: &str| {
             let rows = found["motor"].as_array().unwrap();
             number(&rows.iter().find(|row| row["name"] == name).unwrap()["value"])
@@ -488,25 +488,25 @@ mod unix {
         let resistance_ohm = constants::PHASE_RESISTANCE.value;
         assert!((value("phase resistance") / resistance_ohm - 1.0).abs() < 0.05, "{found}");
         assert_eq!(value("pole pairs"), constants::POLE_PAIRS.value, "{found}");
-        let found = dir.json(&format!("identify screw --can {} --json", emulation.can));
+        let found = dir.json(&format!("board identify screw --can {} --json", emulation.can));
         assert_eq!((&found["screw"], &found["saved"]), (&"self-locking".into(), &false.into()));
         let board = dir.json(&format!("board {port} --json"));
         assert_eq!(
             (&board["motor"], &board["screw"]),
             (&"measured".into(), &"self-locking".into())
         );
-        let line = format!("parameter command_timeout 200 {port} --save --json");
+        let line = format!("board parameter command_timeout 200 {port} --save --json");
         assert_eq!(dir.json(&line)["parameters"][0]["value"], 200);
-        let all = dir.json(&format!("parameter --can {} --json", emulation.can));
+        let all = dir.json(&format!("board parameter --can {} --json", emulation.can));
         assert!(all["parameters"].as_array().unwrap().len() > 20, "{all}");
-        let message = dir.failure(&format!("parameter command_timeout 9999 {port}"));
+        let message = dir.failure(&format!("board parameter command_timeout 9999 {port}"));
         assert!(message.contains("20 to 500"), "{message}");
         // A latched stop is shown, and prevents a measurement.
         dir.json(&format!("grasp {port} --stop --json"));
         let board = dir.json(&format!("board {port} --json"));
         assert_eq!((&board["state"], &board["stopped"]), (&"safe".into(), &true.into()));
         for (line, reason) in [
-            (format!("identify motor {port}"), "a stop is latched"),
+            (format!("board identify motor {port}"), "a stop is latched"),
             (format!("grasp {port} --release"), "a stop is latched"),
         ] {
             let message = dir.failure(&line);
@@ -515,7 +515,7 @@ mod unix {
         is_clean(&emulation.end());
         let emulation = Emulation::start(&dir, &image, &format!("--opening 50 {SLOW}"));
         emulation.allow_delays(&dir);
-        let message = dir.failure(&format!("identify screw --port {}", emulation.serial));
+        let message = dir.failure(&format!("board identify screw --port {}", emulation.serial));
         assert!(message.contains("nothing was gripped"), "{message}");
         is_clean(&emulation.end());
         Ok(())
@@ -525,26 +525,29 @@ mod unix {
         let dir = WorkDir::empty();
         let emulation = Emulation::start(&dir, &path(Variant::Nominal)?, "--json");
         let port = format!("--port {}", emulation.serial);
-        dir.json("key new key.txt --json");
-        dir.json("key new other.txt --json");
+        dir.json("board key new key.txt --json");
+        dir.json("board key new other.txt --json");
         assert_eq!(dir.json(&format!("board {port} --json"))["unprotected"], true);
-        dir.json(&format!("key write key.txt {port} --json"));
+        dir.json(&format!("board key write key.txt {port} --json"));
         assert_eq!(dir.json(&format!("board {port} --json"))["unprotected"], false);
         for (line, reason) in [
-            (format!("tare {port}"), "another key"),
-            (format!("tare {port} --key other.txt"), "another key"),
+            (format!("board tare {port}"), "another key"),
+            (format!("board tare {port} --key other.txt"), "another key"),
             (format!("grasp {port} --release"), "another key"),
-            (format!("key erase {port}"), "the gripper has a key"),
-            (format!("key write other.txt {port} --key other.txt"), "another key"),
-            (format!("key erase --can {} --key key.txt", emulation.can), "never sent over a bus"),
+            (format!("board key erase {port}"), "the gripper has a key"),
+            (format!("board key write other.txt {port} --key other.txt"), "another key"),
+            (
+                format!("board key erase --can {} --key key.txt", emulation.can),
+                "never sent over a bus",
+            ),
         ] {
             let message = dir.failure(&line);
             assert!(message.contains(reason), "{line}: {message}");
         }
-        dir.json(&format!("tare {port} --key key.txt --json"));
+        dir.json(&format!("board tare {port} --key key.txt --json"));
         dir.json(&format!("grasp {port} --stop --json"));
-        dir.json(&format!("key write other.txt {port} --key key.txt --json"));
-        dir.json(&format!("key erase {port} --key other.txt --json"));
+        dir.json(&format!("board key write other.txt {port} --key key.txt --json"));
+        dir.json(&format!("board key erase {port} --key other.txt --json"));
         assert_eq!(dir.json(&format!("board {port} --json"))["unprotected"], true);
         let mut measured = emulation.end();
         // On a slow machine the requests that it refuses come often enough, in its time, to be reported.
@@ -560,7 +563,7 @@ mod unix {
         let image = path(Variant::Default)?;
         let line = |options: &str, emulation: &Emulation| {
             dir.json(&format!(
-                "parameter command_timeout {options} --port {} --json",
+                "board parameter command_timeout {options} --port {} --json",
                 emulation.serial
             ))
         };
@@ -571,7 +574,7 @@ mod unix {
         assert_eq!(line("", &emulation)["parameters"][0]["value"], 300);
         is_clean(&emulation.end());
         std::fs::write(dir.path("notes.txt"), "not a flash memory")?;
-        let message = dir.failure(&format!("emulate {image} --flash notes.txt --seconds 1"));
+        let message = dir.failure(&format!("dev emulate {image} --flash notes.txt --seconds 1"));
         assert!(message.contains("notes.txt"), "{message}");
         assert_eq!(dir.read("notes.txt"), "not a flash memory");
         Ok(())
@@ -579,14 +582,14 @@ mod unix {
 
     fn refused() -> Result<(), Failed> {
         let dir = WorkDir::empty();
-        let message = dir.failure("emulate");
+        let message = dir.failure("dev emulate");
         assert!(message.contains("cargo image"), "{message}");
         std::fs::write(dir.0.path().join("text.elf"), "no image")?;
-        let message = dir.failure("emulate text.elf");
+        let message = dir.failure("dev emulate text.elf");
         assert!(message.contains("not an ELF file"), "{message}");
         if cfg!(target_os = "linux") {
             let image = path(Variant::Default)?;
-            let message = dir.failure(&format!("emulate {image} --can nowhere0"));
+            let message = dir.failure(&format!("dev emulate {image} --can nowhere0"));
             assert!(message.contains("there is no such CAN bus"), "{message}");
         }
         Ok(())

@@ -9,7 +9,6 @@
 //! - [`sampling`]: points of the design space, by Sobol's sequence or on a grid.
 //! - [`sweep`]: many designs and their Pareto front.
 //! - [`optimise`]: the best design for a force.
-//! - [`paper`]: the paper's figures and claims, recomputed.
 
 pub mod axis;
 pub mod beam;
@@ -18,7 +17,6 @@ pub mod evaluation;
 pub mod interference;
 pub mod material;
 pub mod optimise;
-pub mod paper;
 pub mod sampling;
 pub mod sweep;
 

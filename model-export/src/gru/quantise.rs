@@ -311,7 +311,7 @@ pub enum QuantiseError {
     Size { inputs: usize, hidden: usize, sensors: usize },
     #[error(
         "{inputs} inputs, {hidden} units and {sensors} sensors: a board loads networks of one sensor with up to 4 inputs and 16 \
-         units; write others into the image with `cargo magpie export` and `cargo flash-image`"
+         units; write others into the image with `cargo magpie dev export` and `cargo flash-image`"
     )]
     NotLoadable { inputs: usize, hidden: usize, sensors: usize },
 }

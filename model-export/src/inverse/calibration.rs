@@ -85,11 +85,11 @@ pub enum CalibrationError {
     )]
     Description(usize),
     #[error(
-        "{0} bytes do not fit the board's {MAX_BYTES}; write them into the image with `cargo magpie export` and `cargo flash-image`"
+        "{0} bytes do not fit the board's {MAX_BYTES}; write them into the image with `cargo magpie dev export` and `cargo flash-image`"
     )]
     Length(usize),
     #[error(
-        "the tables of the effects do not fit the board's memory of {POOL_INTEGERS} numbers; remove formulas over two quantities, or write the tables into the image with `cargo magpie export` and `cargo flash-image`"
+        "the tables of the effects do not fit the board's memory of {POOL_INTEGERS} numbers; remove formulas over two quantities, or write the tables into the image with `cargo magpie dev export` and `cargo flash-image`"
     )]
     Memory,
 }

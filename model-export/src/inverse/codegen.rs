@@ -11,7 +11,7 @@ use firmware::model::formats::{CentrePair, SensorTable};
 use std::fmt::{Display, Write};
 
 /// First line of every generated file.
-pub const MARK: &str = "// Written by `magpie export`.";
+pub const MARK: &str = "// Written by `magpie dev export`.";
 
 /// Source that declares `TABLES`, an empty `NETWORKS`, and their `DESCRIPTION`.
 pub fn tables_source(built: &DeviceModel) -> String {

@@ -167,7 +167,7 @@ pub enum ErrorKind {
     #[error("this is not a model file; `cargo magpie fit` writes one")]
     NotAModel,
     #[error(
-        "these are tables of `cargo magpie export`, not a model file; give the model from which they were written"
+        "these are tables of `cargo magpie dev export`, not a model file; give the model from which they were written"
     )]
     TablesForModel,
     #[error(

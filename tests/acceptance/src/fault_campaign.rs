@@ -1,19 +1,21 @@
-//! The fault campaign of `magpie fault-campaign`.
+//! Faults injected at their sources into simulated grippers in every state, and the bounds of the hazard table.
 
 use std::cmp::Ordering;
 
+use analysis::progress;
 use anyhow::{Context, Result};
-use serde_json::Value;
+use sim::closed_loop;
+use sim::faults::campaign::{self, FaultSummary, RequirementDraws, RequirementSummary};
 
 use crate::results::{Section, markdown_table, seeds_text};
-use crate::{DefaultSeeds, Options, intervals, magpie};
+use crate::{DefaultSeeds, Options, intervals};
 
 const SEEDS: DefaultSeeds = DefaultSeeds { first: 1, full: 20, quick: 1 };
 /// Full and quick: fault-free hours; random grippers for each motion onto a hand and each stop; grippers for RELEASE in every
 /// state under every fault.
 const HOURS: [f64; 2] = [10.0, 0.05];
-const DRAWS: [&str; 2] = ["1000", "10"];
-const OPENINGS: [&str; 2] = ["3", "1"];
+const DRAWS: [u64; 2] = [1000, 10];
+const OPENINGS: [u64; 2] = [3, 1];
 
 /// Inject every fault in every state; evaluate detection, latency, the bounds of the hazard table and false alarms.
 #[derive(Debug, clap::Args)]
@@ -27,35 +29,35 @@ pub struct Args {
 /// Runs the campaign.
 pub fn evaluate(args: &Args, options: &Options) -> Result<Section> {
     let seeds = options.seeds(SEEDS);
-    let hours = args.hours.unwrap_or(HOURS[usize::from(options.quick)]).to_string();
-    let [first, count] = [seeds.start, seeds.end - seeds.start].map(|number| number.to_string());
-    let output = magpie::json(
-        &[
-            "fault-campaign",
-            "--seeds",
-            &count,
-            "--from-seed",
-            &first,
-            "--draws",
-            DRAWS[usize::from(options.quick)],
-            "--openings",
-            OPENINGS[usize::from(options.quick)],
-            "--false-alarm-hours",
-            &hours,
-        ],
-        None,
-    )?;
-    let rows = output["rows"].as_array().context("rows")?;
-    let sum = |name: &str| rows.iter().filter_map(|row| row[name].as_u64()).sum::<u64>() as usize;
-    let met = rows.iter().filter(|row| row["is_met"] == true).count();
-    let [found, runs] = [sum("detected"), sum("runs")];
-    let forbidden = sum("forbidden");
-    let alarms = output["false_alarms"].as_u64().context("false alarms")? as usize;
-    let (share, closest) = closest(rows).context("a row with a latency")?;
+    let hours = args.hours.unwrap_or(HOURS[usize::from(options.quick)]);
+    let [grippers, openings] = [DRAWS, OPENINGS].map(|counts| counts[usize::from(options.quick)]);
+    let tables = closed_loop::nominal_tables()?;
+    let cases = campaign::cases(seeds.start, seeds.end - seeds.start);
+    let bar = progress::progress_bar("injecting faults", cases.len());
+    let outcomes = campaign::run(&cases, &tables, || bar.inc(1));
+    bar.finish_and_clear();
+    let draws = RequirementDraws { first: seeds.start, grippers, openings };
+    let bar = progress::progress_bar("bounds of the hazard table", draws.runs());
+    let mut requirements = campaign::fault_requirements(&outcomes);
+    requirements.extend(campaign::evaluate_requirements(&draws, &tables, || bar.inc(1)));
+    bar.finish_and_clear();
+    let bar = progress::progress_bar("fault-free operation", campaign::fault_free_minutes(hours));
+    let alarms = campaign::run_fault_free(seeds.start, hours, &tables, || bar.inc(1)).alarms;
+    bar.finish_and_clear();
+    let rows = campaign::summarize(&outcomes);
+    let sum = |count: fn(&FaultSummary) -> usize| rows.iter().map(count).sum::<usize>();
+    let [found, runs] = [sum(|row| row.found), sum(|row| row.runs)];
+    let forbidden: u32 = rows.iter().map(|row| row.forbidden).sum();
+    let met = rows.iter().filter(|row| row.is_met()).count();
+    for row in rows.iter().filter(|row| !row.is_met()) {
+        let fault = row.fault.specification().description;
+        eprintln!("failed: {fault} while {:?}: {}", row.state, row.ends_words());
+    }
+    let (share, closest) = closest(&rows).context("a row with a latency")?;
     let [lower, upper] = intervals::proportion(found, runs).map(|share| 100.0 * share);
     let [least, most] = intervals::poisson(alarms);
     let table = [
-        ["runs".to_owned(), "-".to_owned(), output["runs"].to_string()],
+        ["runs".to_owned(), "-".to_owned(), outcomes.len().to_string()],
         [
             "detected".to_owned(),
             "all".to_owned(),
@@ -74,14 +76,12 @@ pub fn evaluate(args: &Args, options: &Options) -> Result<Section> {
             format!("{alarms} ({least:.1} to {most:.1})"),
         ],
     ];
-    let requirements = output["requirements"].as_array().context("requirements")?;
-    let are_kept = requirements.iter().all(|requirement| requirement["is_met"] == true);
-    let bounds = requirements.iter().map(requirement_cells).collect::<Option<Vec<_>>>();
-    let bounds = bounds.context("a requirement with runs, bound and worst value")?;
+    let are_kept = requirements.iter().all(RequirementSummary::is_met);
+    let bounds = requirements.iter().map(requirement_cells);
     Ok(Section {
         id: "fault-campaign",
         title: "Fault campaign",
-        extent: format!("{}, {} runs", seeds_text(&seeds), output["runs"]),
+        extent: format!("{}, {} runs", seeds_text(&seeds), outcomes.len()),
         conditions: "Every fault of the matrix while approaching, pressing, gripping, releasing, moving, homing, opening \
                      inside of something, calibrating, standing on the ground and resting, with both screws, three \
                      stiffnesses and objects off centre. Expected reactions and bounds are those of \
@@ -96,20 +96,22 @@ pub fn evaluate(args: &Args, options: &Options) -> Result<Section> {
 }
 
 /// Description, bound, runs within it, worst value.
-fn requirement_cells(requirement: &Value) -> Option<[String; 4]> {
-    let direction = if requirement["is_minimum"] == true { "at least" } else { "at most" };
-    let bound = requirement["bound"].as_f64()?;
-    Some([
-        requirement["description"].as_str()?.to_owned(),
-        format!("{}: {direction} {bound}", requirement["quantity"].as_str()?),
-        format!("{} of {}", requirement["kept"], requirement["runs"]),
-        format!("{:.2}", requirement["worst"].as_f64()?),
-    ])
+fn requirement_cells(requirement: &RequirementSummary) -> [String; 4] {
+    let direction = if requirement.is_minimum { "at least" } else { "at most" };
+    [
+        requirement.description.clone(),
+        format!("{}: {direction} {}", requirement.quantity, requirement.bound),
+        format!("{} of {}", requirement.kept, requirement.runs),
+        format!("{:.2}", requirement.worst),
+    ]
 }
 
 /// Maximum ratio of a p99 latency to its limit, and its fault.
-fn closest(rows: &[Value]) -> Option<(f64, &str)> {
-    let share = |row: &Value| Some(row["p99_ms"].as_f64()? / row["limit_ms"].as_f64()?);
-    let shares = rows.iter().filter_map(|row| Some((share(row)?, row["fault"].as_str()?)));
+fn closest(rows: &[FaultSummary]) -> Option<(f64, &'static str)> {
+    let shares = rows.iter().map(|row| {
+        let fault = row.fault.specification();
+        let [_, p99_ms, _] = row.latency_ms;
+        (p99_ms / fault.within_ms, fault.description)
+    });
     shares.max_by(|(a, _), (b, _)| a.partial_cmp(b).unwrap_or(Ordering::Equal))
 }

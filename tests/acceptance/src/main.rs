@@ -14,6 +14,7 @@ mod intervals;
 mod magnetic_disturbance;
 mod magpie;
 mod orientations;
+mod paper;
 mod real;
 mod results;
 mod robustness;
@@ -110,6 +111,9 @@ enum Run {
     #[command(after_help = "Example:\n  cargo acceptance forged-frames --seeds 3")]
     ForgedFrames,
     Robustness(robustness::Args),
+    /// Check the statements of the paper on magnets, sensitivity and materials.
+    #[command(after_help = "Example:\n  cargo acceptance paper")]
+    Paper,
     /// Diagnose measurements by others, of which something is known.
     #[command(after_help = "Example:\n  cargo acceptance real")]
     Real,
@@ -132,6 +136,7 @@ impl Run {
             Self::Orientations => orientations::evaluate(options),
             Self::ForgedFrames => forged_frames::evaluate(options),
             Self::Robustness(args) => robustness::evaluate(args, options),
+            Self::Paper => paper::evaluate(options),
             Self::Real => real::evaluate(),
         }
     }

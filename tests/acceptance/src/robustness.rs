@@ -221,7 +221,7 @@ const READERS: [(&str, &[&str]); 8] = [
         "model.toml",
         &[
             "compare model.toml c --json",
-            "export model.toml -o t.rs --json",
+            "dev export model.toml -o t.rs --json",
             "replay model.toml c --json",
             "remove model.toml c hysteresis -o r.toml --json",
         ],
@@ -230,7 +230,7 @@ const READERS: [(&str, &[&str]); 8] = [
         "network.toml",
         &[
             "replay model.toml c --network network.toml --json",
-            "export model.toml --network network.toml -o t.rs --json",
+            "dev export model.toml --network network.toml -o t.rs --json",
         ],
     ),
     (
@@ -253,9 +253,9 @@ const IMPORT: &[&str] = &["import mapping.toml table.csv -o i --json"];
 
 /// Commands that write, and the file or folder with the command that reads it.
 const WRITERS: [(&str, &str, &str); 6] = [
-    ("fit c -o old.toml", "old.toml", "export old.toml -o x.rs"),
-    ("add plain.toml c creep -o old.toml", "old.toml", "export old.toml -o x.rs"),
-    ("export model.toml -o old.rs", "old.rs", ""),
+    ("fit c -o old.toml", "old.toml", "dev export old.toml -o x.rs"),
+    ("add plain.toml c creep -o old.toml", "old.toml", "dev export old.toml -o x.rs"),
+    ("dev export model.toml -o old.rs", "old.rs", ""),
     ("compare model.toml c -o old.html", "old.html", ""),
     ("simulate -o s --recordings 3 --seconds 4 --sensors 1", "s", "fit s -o x.toml"),
     ("import mapping.toml table.csv table.csv -o i", "i", "compare model.toml i"),
@@ -427,7 +427,7 @@ fn earlier(dir: &Path, file: &str) -> Result<Option<Vec<u8>>> {
         Some("toml") => "plain.toml",
         // Of the program's own; another file is not overwritten.
         Some("rs") => {
-            let made = execute(dir, &format!("export plain.toml -o {file}"), None, None)?;
+            let made = execute(dir, &format!("dev export plain.toml -o {file}"), None, None)?;
             ensure!(made.status.success(), "{}", made.error);
             file
         }

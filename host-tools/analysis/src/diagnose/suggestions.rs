@@ -175,7 +175,7 @@ pub fn suggest(diagnosis: &Diagnosis, typed: &Invocation) -> Suggestion {
     }
     if diagnosis.at_floor && typed.base == BaseKind::Cylinder {
         let words =
-            ["cargo", "magpie", "export", typed.model, "-o", "tables.rs"].map(str::to_owned);
+            ["cargo", "magpie", "dev", "export", typed.model, "-o", "tables.rs"].map(str::to_owned);
         return suggestion(SuggestionKind::Export, vec![line(&words)]);
     }
     match (diagnosis.unexplained.is_empty(), covariates.clone().find(usable)) {
@@ -413,7 +413,7 @@ mod tests {
         let diagnosis = Diagnosis { at_floor: true, ..Diagnosis::default() };
         assert_eq!(
             suggest(&diagnosis, &TYPED).commands,
-            ["cargo magpie export m.toml -o tables.rs"]
+            ["cargo magpie dev export m.toml -o tables.rs"]
         );
     }
 }

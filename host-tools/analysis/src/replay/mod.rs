@@ -73,11 +73,6 @@ impl AxisReplay {
     pub fn tared(&self) -> Option<Moments> {
         self.tare.map(|(tare, _)| self.error.less(tare))
     }
-
-    /// The floating-point error after its tare.
-    pub fn float_tared(&self) -> Option<Moments> {
-        self.float_tare.map(|tare| self.float.less(tare))
-    }
 }
 
 /// One sensor over one recording.

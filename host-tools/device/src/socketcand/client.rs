@@ -1,4 +1,4 @@
-//! A gripper on a CAN bus that a program offers over TCP: `socketcand`, or `magpie emulate`.
+//! A gripper on a CAN bus that a program offers over TCP: `socketcand`, or `magpie dev emulate`.
 
 use std::io::{ErrorKind, Read, Write};
 use std::net::TcpStream;
@@ -38,7 +38,7 @@ impl RemoteBus {
     pub fn open(address: &str, node: u16) -> Result<Self> {
         let stream = TcpStream::connect(address).map_err(|error| {
             anyhow!(
-                "{address}: no connection ({error}); --can takes HOST:PORT of a running `cargo magpie emulate` (it prints \
+                "{address}: no connection ({error}); --can takes HOST:PORT of a running `cargo magpie dev emulate` (it prints \
                  them) or socketcand, or the name of an interface such as can0"
             )
         })?;
@@ -205,6 +205,6 @@ mod tests {
         assert!(error.contains("socketcand protocol"), "{error}");
         other.join().unwrap();
         let error = RemoteBus::open(&address, DEFAULT_NODE).err().unwrap().to_string();
-        assert!(error.contains("cargo magpie emulate"), "{error}");
+        assert!(error.contains("cargo magpie dev emulate"), "{error}");
     }
 }

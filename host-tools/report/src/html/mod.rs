@@ -7,9 +7,7 @@
 //! - [`attribution`], [`map`]: dependence of the error on covariates.
 //! - [`diagnosis`]: sections of a diagnosis.
 //! - [`design`]: sections of sensor designs.
-//! - [`drive`]: sections of a run of the drive; [`grasp`]: of a grasp and of a ground contact; [`faults`]: of a
-//!   fault campaign.
-//! - [`training`]: sections of a benchmark of networks.
+//! - [`drive`]: sections of a run of the drive; [`grasp`]: of a grasp and of a ground contact.
 //! - [`workbench`]: the page of the workbench, which is served and not written.
 //!
 //! Plots are rendered to inline SVG; the page's script only zooms and switches between sensors.
@@ -19,7 +17,6 @@ pub mod design;
 pub mod diagnosis;
 pub mod drive;
 pub mod errors;
-pub mod faults;
 #[cfg(test)]
 mod fixture;
 pub mod grasp;
@@ -31,7 +28,6 @@ pub mod plot;
 pub mod summary;
 pub mod tables;
 pub mod traces;
-pub mod training;
 pub mod workbench;
 
 use std::path::Path;

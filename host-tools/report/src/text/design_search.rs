@@ -1,11 +1,10 @@
-//! Text and JSON of searches of the design space and of the reproduction of the paper.
+//! Text and JSON of searches of the design space.
 
 use std::path::Path;
 
 use analysis::numbers::number;
 use model_export::design::interference::FieldShift;
 use model_export::design::optimise::OptimisedDesign;
-use model_export::design::paper::{PaperResults, Verdict};
 use model_export::design::sampling::SamplingMethod;
 use model_export::design::sweep::Candidate;
 use serde_json::{Value, json};
@@ -145,38 +144,6 @@ fn error_sentence(optimum: &OptimisedDesign) -> String {
         text += &terminal::paragraph(&format!("Active size bounds: {}.", edges.join(", ")));
     }
     text
-}
-
-/// The statements of the paper as text; `report` is the path of the HTML report.
-pub fn format_paper(paper: &PaperResults, report: Option<&Path>) -> String {
-    let mut table = terminal::table(["statement of the paper", "source", "computed", ""]);
-    for claim in &paper.claims {
-        table.add_row([claim.says, claim.place, claim.found.as_str(), claim.verdict.name()]);
-    }
-    let count = |verdict| {
-        let claims = paper.claims.iter();
-        claims.filter(|claim| claim.verdict == verdict).count()
-    };
-    let mut page = format!("{table}\n");
-    page += &terminal::paragraph(&format!(
-        "{} reproduced, {} not, {} impossible as stated.",
-        count(Verdict::Reproduced),
-        count(Verdict::NotReproduced),
-        count(Verdict::Impossible)
-    ));
-    page += &terminal::report_line(report);
-    page
-}
-
-/// The object of `--json` of the reproduction of the paper.
-pub fn paper_json(paper: &PaperResults, report: Option<&Path>) -> Value {
-    let claims = paper.claims.iter().map(|claim| {
-        json!({
-            "says": claim.says, "place": claim.place, "found": claim.found,
-            "verdict": claim.verdict.name(),
-        })
-    });
-    json!({ "claims": claims.collect::<Vec<_>>(), "report": report })
 }
 
 #[cfg(test)]

@@ -2,7 +2,6 @@
 
 use analysis::statistics::Moments;
 
-pub mod benchmark;
 pub mod calibration;
 pub mod causes;
 pub mod comparison;
@@ -11,11 +10,9 @@ pub mod design_search;
 pub mod diagnosis;
 #[cfg(test)]
 pub mod diagnosis_fixture;
-pub mod disturbance;
 pub mod edit_model;
 pub mod effects;
 pub mod export;
-pub mod fault_campaign;
 pub mod findings;
 pub mod fit;
 pub mod force_error;

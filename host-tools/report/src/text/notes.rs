@@ -63,21 +63,13 @@ pub fn text(note: &Note) -> String {
         ),
         Note::ConstantCovariate { column, effect, record } => {
             let advice = record.map_or_else(String::new, |record| format!(". Record: {record}"));
-            format!("{column} is constant in these recordings: {effect} is not identifiable{advice}")
+            format!(
+                "{column} is constant in these recordings: {effect} is not identifiable{advice}"
+            )
         }
         Note::IdealModelNotHeldOut { recording } => format!(
             "the model was fitted to recording {recording} too: the ideal model's error there is not held out"
         ),
-        Note::EffectsNotHeldOut { recording } => format!(
-            "the model was also fitted to recording {recording}: its parameters are fitted again without it, but its effects may have been selected with it"
-        ),
-        Note::NoEffects => "the model has no effects, so the variants of physics with effects are left out: `cargo magpie diagnose` finds missing effects, `cargo magpie add` adds them".to_owned(),
-        Note::EffectsLeftOut { training_s, error } => format!(
-            "with {training_s:.0} s of data the physics with effects is left out: {error}"
-        ),
-        Note::NetworkLeftOut { error, .. } => {
-            format!("left out because it does not fit the device: {error}")
-        }
     }
 }
 
@@ -99,29 +91,14 @@ pub fn uncompensated(effect: &UncompensatedEffect) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use analysis::benchmark::variants::EstimatorVariant;
     use model_export::inverse::compensation::NotCompensable;
 
     #[test]
-    fn notes_that_carry_an_error_state_it() {
-        let error = || "the error".to_owned();
-        let effect = "creep".to_owned();
-        for (note, expected) in [
-            (
-                Note::NotCompensable(NotCompensable { effect, sensor: 2, why: error() }),
-                "creep of sensor 2 cannot be compensated on the device: the error",
-            ),
-            (
-                Note::EffectsLeftOut { training_s: 29.6, error: error() },
-                "with 30 s of data the physics with effects is left out: the error",
-            ),
-            (
-                Note::NetworkLeftOut { variant: EstimatorVariant::Gru3Axis, error: error() },
-                "left out because it does not fit the device: the error",
-            ),
-        ] {
-            assert_eq!(text(&note), expected);
-        }
+    fn note_that_carries_an_error_states_it() {
+        let (effect, why) = ("creep".to_owned(), "the error".to_owned());
+        let note = Note::NotCompensable(NotCompensable { effect, sensor: 2, why });
+        let expected = "creep of sensor 2 cannot be compensated on the device: the error";
+        assert_eq!(text(&note), expected);
     }
 
     #[test]

@@ -1,6 +1,5 @@
 //! Text and JSON of a replay.
 
-use analysis::benchmark::MIN_BENEFIT;
 use analysis::compare::ForceError;
 use analysis::replay::evaluation::{
     NetworkComparison, PooledAxis, ReplayEvaluation, coverage_fractions, pooled, pooled_error,
@@ -352,6 +351,9 @@ fn network_report(evaluation: &ReplayEvaluation) -> Option<String> {
         coverage_line(&comparison.with),
     ))
 }
+
+/// Minimum relative change of the error that counts.
+const MIN_BENEFIT: f64 = 0.02;
 
 fn network_verdict(without_n: f64, with_n: f64) -> &'static str {
     match with_n / without_n {

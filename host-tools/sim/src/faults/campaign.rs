@@ -66,25 +66,6 @@ pub fn run(
     cases.par_iter().map(one).collect()
 }
 
-/// Result of a fault campaign.
-#[derive(Clone, Debug)]
-pub struct CampaignResult {
-    /// The first seed, and the number of seeds.
-    pub seeds: (u64, u64),
-    /// Statistics of each fault in each operating state.
-    pub summaries: Vec<FaultSummary>,
-    /// Number of runs.
-    pub runs: usize,
-    /// Bounds of the hazard table.
-    pub requirements: Vec<RequirementSummary>,
-    /// Number of runs that did not reach their operating state.
-    pub unreached: usize,
-    /// False alarms without faults.
-    pub fault_free: FalseAlarms,
-    /// Computing time in seconds.
-    pub seconds: f64,
-}
-
 /// Statistics of one fault in one operating state.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FaultSummary {

@@ -18,24 +18,6 @@ use firmware::sensors::hall::a31301::FIELD_LIMITS;
 use firmware::system::faults::Fault;
 use std::f64::consts::PI;
 
-/// Faults that need hardware; they are not counted here.
-pub const HARDWARE_ONLY: [(u8, &str); 2] =
-    [(1, "phase over-current, at the gate drivers"), (6, "a clock that is wrong")];
-
-/// Faults that are covered by other tests.
-pub const COVERED_BY_OTHER_TESTS: [(u8, &str); 10] = [
-    (2, "locked-up core, clock, supply, flash errors: host-tools/tests/emulation/supervision.rs"),
-    (3, "panics: firmware/src/system/crash.rs"),
-    (4, "loops and trigger of the motor: host-tools/tests/emulation/supervision.rs"),
-    (5, "the grip task: host-tools/tests/emulation/supervision.rs"),
-    (13, "the stroke: firmware/src/grip/tests/transitions.rs"),
-    (22, "a diverging network: firmware/src/estimator/network_monitor.rs"),
-    (23, "tables: firmware/src/tasks/scrub.rs"),
-    (28, "strange frames: tests/scenarios"),
-    (29, "a save that is cut off: firmware/src/system/nv_storage"),
-    (32, "commands for another state: firmware/src/grip/tests"),
-];
-
 /// A fault of the fault matrix.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[allow(missing_docs)] // Described by the specification.

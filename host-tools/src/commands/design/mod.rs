@@ -3,22 +3,19 @@
 pub mod search;
 pub mod space;
 
-use analysis::progress;
 use std::path::PathBuf;
 
 use anyhow::Result;
 use model_export::design::DesignEvaluation;
 use model_export::design::SensorDesign;
 use model_export::design::interference::{DRAWS, InterferenceSources};
-use model_export::design::paper::{MATERIALS, PaperResults};
-use model_export::design::sweep::{self, DEFAULT_COUNT};
+use model_export::design::sweep;
 
 use report::html::design as pages;
 use report::text::design as summary;
-use report::text::design_search::{format_paper, paper_json};
 use report::text::terminal;
 
-/// Design a sensor: evaluate a flexure, magnet and gap, sweep the design space, or optimise for a force.
+/// Evaluate flexure, magnet and gap of a sensor, or search the best for a force.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -34,9 +31,7 @@ pub struct Args {
 enum Command {
     Check(CheckArgs),
     Sweep(search::SweepArgs),
-    #[command(alias = "pick")]
     Optimize(search::OptimizeArgs),
-    Paper(PaperArgs),
 }
 
 /// Runs the command.
@@ -45,7 +40,6 @@ pub fn run(args: &Args) -> Result<()> {
         Command::Check(args) => check(args),
         Command::Sweep(args) => search::run_sweep(args),
         Command::Optimize(args) => search::run_optimize(args),
-        Command::Paper(args) => reproduce_paper(args),
     }
 }
 
@@ -110,44 +104,5 @@ fn check(args: &CheckArgs) -> Result<()> {
                 + &summary::assumptions(&design)
                 + &terminal::report_line(args.output.as_deref())
         },
-    )
-}
-
-/// Reproduce the paper's results on fields, sensitivity and materials, and check each of its statements.
-#[derive(Debug, clap::Args)]
-#[command(after_help = "\
-Examples:
-  cargo magpie design paper -o paper.html
-  cargo magpie design paper --json")]
-struct PaperArgs {
-    /// Number of designs per material.
-    #[arg(long, value_name = "N", default_value_t = DEFAULT_COUNT, value_parser = clap::value_parser!(u32).range(16..=1_000_000))]
-    count: u32,
-    /// Seed of the random misalignments.
-    #[arg(long, default_value_t = 1)]
-    seed: u64,
-    /// HTML report to write.
-    #[arg(short, long, value_name = "FILE")]
-    output: Option<PathBuf>,
-    /// Print one JSON object on stdout and nothing else.
-    #[arg(long)]
-    json: bool,
-}
-
-/// Runs the command.
-fn reproduce_paper(args: &PaperArgs) -> Result<()> {
-    let interference = InterferenceSources::assumed(args.seed, DRAWS);
-    let bar = progress::progress_bar("evaluating designs", args.count as usize * MATERIALS.len());
-    let paper = PaperResults::of(args.count, &interference, || bar.inc(1));
-    bar.finish_and_clear();
-    if let Some(path) = &args.output {
-        let sections = pages::of_paper(&paper);
-        report::html::write_sections(path, "magpie: reproduction of the paper", &sections)?;
-    }
-    let report = args.output.as_deref();
-    terminal::print_result(
-        args.json,
-        || paper_json(&paper, report),
-        || format_paper(&paper, report),
     )
 }

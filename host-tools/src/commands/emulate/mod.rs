@@ -1,4 +1,4 @@
-//! `magpie emulate`: runs the unmodified firmware image in an emulated chip.
+//! `magpie dev emulate`: runs the unmodified firmware image in an emulated chip.
 
 #[cfg(unix)]
 mod session;
@@ -16,20 +16,20 @@ use crate::commands::connection::parse_seconds;
 #[command(after_help = "\
 Examples:
   # until Ctrl-C; prints its serial line and CAN bus
-  cargo magpie emulate
+  cargo magpie dev emulate
   cargo magpie monitor --port /dev/pts/3             # in another terminal, with the printed path
-  cargo magpie emulate --object 40 --can-port 29536 --log
+  cargo magpie dev emulate --object 40 --can-port 29536 --log
   cargo magpie grasp --can 127.0.0.1:29536 --home --force 80    # in another terminal
   # a virtual CAN interface of Linux: candump, SavvyCAN, ...
-  cargo magpie emulate --can vcan0
-  cargo magpie emulate --seconds 10 --speed max --json > profile.json
-  cargo magpie emulate --replay tests/data/clean/1 --model model.toml --speed 0.2
+  cargo magpie dev emulate --can vcan0
+  cargo magpie dev emulate --seconds 10 --speed max --json > profile.json
+  cargo magpie dev emulate --replay tests/data/clean/1 --model model.toml --speed 0.2
 
 At the end, and after Ctrl-C, it prints a profile (load of each priority level and interrupt, longest blocking and \
 latency, stack, hottest functions), the latency from tick to packet on the serial line and to the CAN frames with forces, \
 rule violations, resets and faults. Without --can, the CAN bus is a local TCP port with the socketcand protocol (ASCII, raw mode), which \
 python-can and other tools support. Times are virtual (chip time). The simulated fingertips have the \
-nominal design: build the image with tables of `cargo magpie export MODEL --nominal`. The peripherals are modelled from manuals and not \
+nominal design: build the image with tables of `cargo magpie dev export MODEL --nominal`. The peripherals are modelled from manuals and not \
 validated on a chip.")]
 pub struct Args {
     /// Firmware image (ELF) [default: the newest build of `cargo image` or `.ci/image`].

@@ -1,4 +1,4 @@
-//! Report of `magpie emulate`.
+//! Report of `magpie dev emulate`.
 
 use std::path::PathBuf;
 

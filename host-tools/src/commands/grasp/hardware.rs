@@ -102,8 +102,8 @@ fn session(args: &Args) -> Result<Session> {
     {
         let port = args.port.words();
         bail!(
-            "{}: the gripper grips with at most {} N, as its bring-up is not signed off: `cargo magpie bringup {port}`; \
-             to do without, `cargo magpie parameter bench 0 {port} --save` and restart it",
+            "{}: the gripper grips with at most {} N, as its bring-up is not signed off: `cargo magpie board bringup {port}`; \
+             to do without, `cargo magpie board parameter bench 0 {port} --save` and restart it",
             source.name(),
             GripLimits::BENCH_N
         );

@@ -25,7 +25,7 @@ use sim::closed_loop::landing::FootContact;
 use sim::closed_loop::motor_rig::DriveCase;
 use sim::drivetrain::parameters::Lead;
 
-/// Move, grasp or land with a simulated gripper under firmware control, or a real or emulated one (--port, --can).
+/// Move, grasp or land with a simulated gripper, or a real or emulated one (--port, --can).
 #[derive(Debug, clap::Args)]
 #[command(
     allow_negative_numbers = true,
@@ -144,7 +144,7 @@ Examples:
   cargo magpie grasp --can can0 --force 80 --keep && cargo magpie grasp --can can0 --release
   cargo magpie grasp --can can0 --force 80 --json-lines | jq '.state'
   cargo magpie grasp --can can0 --force 15 --profile fragile --width 40:4 --speed 4
-  cargo magpie grasp --can 127.0.0.1:29536 --home --force 80     # `cargo magpie emulate`
+  cargo magpie grasp --can 127.0.0.1:29536 --home --force 80     # `cargo magpie dev emulate`
   # frees what is gripped, also under a fault of the sensors
   cargo magpie grasp --port /dev/ttyACM0 --release
   cargo magpie grasp --can can0 --stop

@@ -319,7 +319,7 @@ impl LiveGripper {
     pub fn upload(&self, built: &DeviceModel) -> Result<UploadedCalibration> {
         if !self.port.is_given() {
             bail!(
-                "a virtual board takes no calibration: give --port or --can, also of `cargo magpie emulate`"
+                "a virtual board takes no calibration: give --port or --can, also of `cargo magpie dev emulate`"
             );
         }
         let mut source = self.release()?;

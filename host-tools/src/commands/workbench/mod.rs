@@ -40,7 +40,7 @@ use crate::commands::workbench::live::{LiveGripper, RecordRequest};
 use device::http::{Place, read_body, refuse, serve, single};
 use device::reference::ReferenceSource;
 
-/// Open a page in a browser of this machine: add effects and formulas to a model of a campaign, and every number and plot follows.
+/// Open a page that adds effects and formulas to a model; every number and plot follows.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -576,7 +576,7 @@ impl Choice {
             commands.push(line(&[&words[..], delay, seed].concat()));
         }
         commands.push(line(&[&["replay", model, &campaign][..], delay].concat()));
-        commands.push(line(&["export", model, "-o", "tables.rs"]));
+        commands.push(line(&["dev", "export", model, "-o", "tables.rs"]));
         commands
     }
 

@@ -1,4 +1,4 @@
-//! Trained networks in `magpie replay` and `magpie export`.
+//! Trained networks in `magpie replay` and `magpie dev export`.
 
 use crate::workdir::{WorkDir, campaign};
 
@@ -37,7 +37,7 @@ fn fixed_point_network_matches_floating_point() {
 fn network_export_is_reproducible_and_typed_by_size() {
     let dir = trained();
     for name in ["one.rs", "two.rs"] {
-        dir.stdout(&format!("export model.toml --network network -o {name}"));
+        dir.stdout(&format!("dev export model.toml --network network -o {name}"));
     }
     assert_eq!(dir.read("one.rs"), dir.read("two.rs"));
     // Two pairs of inputs, eight pairs of units, one sensor; two networks.
@@ -49,7 +49,7 @@ fn the_committed_tables_are_those_of_the_committed_model_and_networks() {
     let dir = WorkDir::empty();
     let [model, network] =
         ["model.toml", "network.safetensors"].map(|name| campaign(&format!("default/{name}")));
-    dir.stdout(&["export", &model, "--network", &network, "-o", "tables.rs"]);
+    dir.stdout(&["dev", "export", &model, "--network", &network, "-o", "tables.rs"]);
     let committed = concat!(env!("CARGO_MANIFEST_DIR"), "/../firmware/src/model/tables.rs");
     let committed = std::fs::read_to_string(committed).unwrap();
     assert!(dir.read("tables.rs") == committed, "export the tables again");
@@ -61,7 +61,7 @@ fn network_of_another_model_is_refused() {
     dir.stdout("fit bench -o other.toml --seed 7");
     let message = dir.failure("replay other.toml bench --network network");
     assert!(message.contains("another model"), "{message}");
-    let message = dir.failure("export model.toml --network model.toml -o tables.rs");
+    let message = dir.failure("dev export model.toml --network model.toml -o tables.rs");
     assert!(message.contains("this is not a network"), "{message}");
     assert!(!dir.path("tables.rs").exists());
 }

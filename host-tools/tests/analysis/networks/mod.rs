@@ -1,5 +1,4 @@
-//! Networks: `magpie train`, `benchmark`, and networks in `replay` and `export`.
+//! Networks: `magpie train`, and networks in `replay` and `export`.
 
-mod benchmark;
 mod device;
 mod train;

@@ -69,7 +69,7 @@ fn interrupted_training_continues_with_the_printed_command() {
 
 #[test]
 fn training_report_has_error_and_range_of_every_force() {
-    let line = "train model.toml bench --hidden 8 --epochs 30 --inputs field+ideal --target rest --axes xz \
+    let line = "train model.toml bench --hidden 8 --epochs 30 --inputs field+ideal --target residual --axes xz \
                 --hold-out 1 --json";
     let output = simulated().json(line);
     let rows = output["sensors"].as_array().unwrap();

@@ -1,16 +1,18 @@
 //! Detection rate, latency and false alarms of the disturbance detector over several grippers.
 //!
 //! Simulated grippers (hysteresis, cross coupling, a warming magnet, manufacturing tolerances), each with a model
-//! fitted by `magpie` to three recordings of 100 s; then [`analysis::magnetic_disturbance`] on new recordings.
+//! fitted by `magpie` to three recordings of 100 s; then [`detection`] on new recordings.
 
+mod detection;
+mod event;
 mod gripper;
+mod simulated_rows;
 
-use analysis::magnetic_disturbance::counts::DetectionCounts;
-use analysis::magnetic_disturbance::evaluate_detection;
-use analysis::magnetic_disturbance::event::MAX_LATENCY;
 use analysis::progress;
 use anyhow::Result;
-use report::html::training::foreign::section;
+
+use detection::DetectionCounts;
+use event::MAX_LATENCY;
 
 use crate::results::{Section, markdown_table, seeds_text};
 use crate::{DefaultSeeds, Options, intervals};
@@ -20,22 +22,14 @@ const HOURS: [f64; 2] = [10.0, 0.2];
 
 /// Evaluate the detection of magnetic disturbances.
 #[derive(Debug, clap::Args)]
-#[command(
-    after_help = "Example:\n  cargo acceptance magnetic-disturbance --seeds 1 --hours 1 --networks"
-)]
+#[command(after_help = "Example:\n  cargo acceptance magnetic-disturbance --seeds 1 --hours 1")]
 pub struct Args {
     /// Hours of simulated time over all grippers [default: 10; quick: 0.2].
     #[arg(long, value_name = "H")]
     hours: Option<f64>,
-    /// Also train networks: adds the predicted standard deviation and the model disagreement.
-    #[arg(long)]
-    networks: bool,
     /// Omit the magnet temperature from the models.
     #[arg(long)]
     no_temperature: bool,
-    /// HTML report with the operating characteristics.
-    #[arg(short, long, value_name = "HTML")]
-    output: Option<std::path::PathBuf>,
 }
 
 /// Runs one gripper per seed.
@@ -47,25 +41,20 @@ pub fn evaluate(args: &Args, options: &Options) -> Result<Section> {
     let mut counts = DetectionCounts::default();
     let mut residuals = Vec::new();
     for seed in seeds.clone() {
-        let gripper = gripper::Gripper::new(seed, !args.no_temperature, args.networks)?;
+        let gripper = gripper::Gripper::new(seed, !args.no_temperature)?;
         residuals.push([seed.to_string(), gripper.residuals()]);
-        let counted =
-            evaluate_detection(&gripper.device(), &gripper.world, hours / grippers as f64, &bar)?;
+        let hours = hours / grippers as f64;
+        let counted = detection::evaluate(&gripper.built, &gripper.world, hours, &bar);
         counts = counts.with(counted);
     }
     bar.finish_and_clear();
     let extent = format!("{} grippers, {}, {hours} hours", grippers, seeds_text(&seeds));
-    if let Some(path) = &args.output {
-        let title = "magpie: magnetic disturbance";
-        report::html::write_sections(path, title, &[section(&counts, &extent)])?;
-    }
-    let models = if args.networks { "Models with networks." } else { "Models without networks." };
     Ok(Section {
         id: "magnetic-disturbance",
         title: "Magnetic disturbance",
         extent,
         conditions: format!(
-            "{models} Specified: at least 99 % detected within {MAX_LATENCY} ms, less than 1 false alarm in 10 h."
+            "Models without networks. Specified: at least 99 % detected within {MAX_LATENCY} ms, less than 1 false alarm in 10 h."
         ),
         tables: format!(
             "{}\n{}",
@@ -77,12 +66,12 @@ pub fn evaluate(args: &Args, options: &Options) -> Result<Section> {
 }
 
 fn rows(counts: &DetectionCounts) -> Vec<[String; 3]> {
-    let relevant = counts.relevant_count();
-    let detected = counts.detected().unwrap_or(f64::NAN);
-    let [lower, upper] = counts.detected_interval().map(|share| 100.0 * share);
-    let latency = |share: f64| match counts.latency(share) {
-        Some(ms) => format!("{ms:.0}"),
-        None => "never".to_owned(),
+    let (latencies, detected) = (counts.latencies(), counts.detected());
+    let relevant = latencies.len();
+    let [lower, upper] = intervals::proportion(detected, relevant).map(|share| 100.0 * share);
+    let latency = |share: f64| match latencies.get((share * relevant as f64) as usize) {
+        Some(ms) if ms.is_finite() => format!("{ms:.0}"),
+        _ => "never".to_owned(),
     };
     let [least, most] = intervals::poisson(counts.false_alarms);
     let limit_n = counts.alarm_error_n;
@@ -95,13 +84,13 @@ fn rows(counts: &DetectionCounts) -> Vec<[String; 3]> {
         ],
         [
             format!("detected within {MAX_LATENCY} ms of that"),
-            format!("{:.2} % ({:.0})", 100.0 * detected, detected * relevant as f64),
+            format!("{:.2} % ({detected})", 100.0 * detected as f64 / relevant as f64),
             format!("{lower:.2} to {upper:.2} %"),
         ],
         ["latency, median, ms (negative: before the force error)".to_owned(), latency(0.5), none()],
         ["latency, p99, ms".to_owned(), latency(0.99), none()],
         [
-            format!("false alarms in {:.2} h", counts.hours()),
+            format!("false alarms in {:.2} h", counts.hours),
             counts.false_alarms.to_string(),
             format!("{least:.1} to {most:.1}"),
         ],

@@ -2,14 +2,11 @@
 //!
 //! - [`one`]: one design.
 //! - [`sweep`]: many designs and their Pareto front.
-//! - [`paper`]: figures and statements of the paper.
 
 pub mod one;
-pub mod paper;
 pub mod sweep;
 
 pub use one::sections as of_one;
-pub use paper::sections as of_paper;
 pub use sweep::sections as of_sweep;
 
 use maud::{Markup, html};

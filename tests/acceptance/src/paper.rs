@@ -1,86 +1,67 @@
-//! The paper's figures and claims, recomputed with the model.
+//! Statements of the paper on magnets, sensitivity and materials, computed with the exact fields and the beams of this project.
 
-use crate::design::axis::slope;
-use crate::design::design_file::SensorDesign;
-use crate::design::interference::{self, InterferenceSources};
-use crate::design::optimise::widest_range;
-use crate::design::sweep::{Candidate, DesignSpace, sweep};
-use crate::physics::ForwardModel;
-use crate::recordings::description::{MagnetShape, NominalDesign};
+use analysis::progress;
+use anyhow::Result;
+use model_export::design::axis::slope;
+use model_export::design::design_file::SensorDesign;
+use model_export::design::interference::{self, DRAWS, InterferenceSources};
+use model_export::design::optimise::widest_range;
+use model_export::design::sweep::{Candidate, DEFAULT_COUNT, DesignSpace, sweep};
+use model_export::physics::ForwardModel;
+use model_export::recordings::description::{MagnetShape, NominalDesign};
 use nalgebra::{DMatrix, DVector, Vector3};
 
+use crate::Options;
+use crate::results::{Section, markdown_table};
+
+/// Number of designs of each material with `--quick`.
+const QUICK_COUNT: u32 = 400;
+
+/// Computes all statements.
+pub fn evaluate(options: &Options) -> Result<Section> {
+    let count = if options.quick { QUICK_COUNT } else { DEFAULT_COUNT };
+    let seed = options.first.unwrap_or(1);
+    let interference = InterferenceSources::assumed(seed, DRAWS);
+    let base = SensorDesign::magpie();
+    let space = |material: &str| DesignSpace {
+        materials: vec![material.to_owned()],
+        ..DesignSpace::default()
+    };
+    let bar = progress::progress_bar("evaluating designs", count as usize * MATERIALS.len());
+    let designs = MATERIALS
+        .map(|material| sweep(&base, &space(material), count, &interference, || bar.inc(1)));
+    bar.finish_and_clear();
+    let [plastic, _] = MATERIALS;
+    let widest = widest_range(&base, &space(plastic), &designs[0], &interference);
+    let claims = check_claims(&designs, widest.as_ref());
+    let rows = claims.iter().map(|claim| {
+        [claim.says, claim.place, claim.found.as_str(), claim.verdict.name()].map(str::to_owned)
+    });
+    Ok(Section {
+        id: "paper",
+        title: "Statements of the paper",
+        extent: format!("{count} designs of each material"),
+        conditions: "Computed with the exact fields of the magnets and the beams of this project."
+            .to_owned(),
+        tables: markdown_table(["statement of the paper", "section", "computed", "verdict"], rows),
+        is_met: None,
+    })
+}
+
 /// The paper's gap, from its caption, in mm.
-pub const GAP_MM: f64 = 1.5;
+const GAP_MM: f64 = 1.5;
 /// Length of the magnet in the paper's caption, in mm.
-pub const HEIGHT_MM: f64 = 2.0;
+const HEIGHT_MM: f64 = 2.0;
 /// Motion of the magnet in the paper's figures, either way, in mm.
-pub const MOTION_MM: f64 = 3.0;
+const MOTION_MM: f64 = 3.0;
 /// Materials of the paper's figure: one plastic, one metal.
-pub const MATERIALS: [&str; 2] = ["ABS", "17-4PH"];
-
-/// The paper's figures and statements.
-#[derive(Clone, Debug)]
-pub struct PaperResults {
-    /// Field over motion of four shapes in a box of 2.5 mm.
-    pub shapes: Vec<Curve>,
-    /// S over motion, for several diameters.
-    pub motion: Vec<Curve>,
-    /// Maximum S over the magnet's length, for several diameters.
-    pub length: Vec<Curve>,
-    /// Maximum S over the magnet's diameter, for several lengths.
-    pub diameter: Vec<Curve>,
-    /// Maximum S over the gap.
-    pub gap: Vec<Curve>,
-    /// Field of the opposite magnet over its distance, for several magnets.
-    pub neighbour: Vec<Curve>,
-    /// Designs of each of [`MATERIALS`].
-    pub designs: [Vec<Candidate>; 2],
-    /// Claims.
-    pub claims: Vec<Claim>,
-}
-
-impl PaperResults {
-    /// Computes everything, with `count` designs of each material; `done` is called after each.
-    pub fn of(count: u32, sources: &InterferenceSources, done: impl Fn() + Sync) -> Self {
-        let base = SensorDesign::magpie();
-        let space = |material: &str| DesignSpace {
-            materials: vec![material.to_owned()],
-            ..DesignSpace::default()
-        };
-        let designs =
-            MATERIALS.map(|material| sweep(&base, &space(material), count, sources, &done));
-        let [plastic, _] = MATERIALS;
-        let widest = widest_range(&base, &space(plastic), &designs[0], sources);
-        Self {
-            shapes: shape_curves(),
-            motion: motion_curves(),
-            length: length_curves(),
-            diameter: diameter_curves(),
-            gap: gap_curves(),
-            neighbour: neighbour_curves(),
-            claims: check_claims(&designs, widest.as_ref()),
-            designs,
-        }
-    }
-}
+const MATERIALS: [&str; 2] = ["ABS", "17-4PH"];
 
 /// Points of a curve.
 const CURVE_POINTS: u32 = 80;
 
-/// Diameters of the curves in mm.
-const DIAMETERS_MM: [f64; 4] = [2.0, 3.0, 5.0, 8.0];
-
-/// A curve of a figure.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Curve {
-    /// Legend.
-    pub name: String,
-    /// Points `[x, y]`.
-    pub points: Vec<[f64; 2]>,
-}
-
 /// An axially magnetised magnet that faces the sensor.
-pub fn facing(shape: MagnetShape, gap_mm: f64) -> ForwardModel {
+fn facing(shape: MagnetShape, gap_mm: f64) -> ForwardModel {
     let mut design = NominalDesign::magpie();
     design.magnet.shape = shape;
     design.gap_mm = gap_mm;
@@ -88,24 +69,24 @@ pub fn facing(shape: MagnetShape, gap_mm: f64) -> ForwardModel {
 }
 
 /// A cylinder that faces the sensor.
-pub fn cylinder(diameter_mm: f64, length_mm: f64, gap_mm: f64) -> ForwardModel {
+fn cylinder(diameter_mm: f64, length_mm: f64, gap_mm: f64) -> ForwardModel {
     let shape = MagnetShape::Cylinder { diameter_mm, length_mm };
     facing(shape, gap_mm)
 }
 
 /// S = dBx/dx in G/mm with the magnet displaced by `x_mm`.
-pub fn sensitivity(model: &ForwardModel, x_mm: f64) -> f64 {
+fn sensitivity(model: &ForwardModel, x_mm: f64) -> f64 {
     slope(model, Vector3::x(), x_mm).x
 }
 
 /// Maximum magnitude of S over the paper's motion in G/mm, and its position in mm.
-pub fn max_sensitivity(model: &ForwardModel) -> (f64, f64) {
+fn max_sensitivity(model: &ForwardModel) -> (f64, f64) {
     let sizes = steps(0.0, MOTION_MM).map(|x_mm| (sensitivity(model, x_mm).abs(), x_mm));
     sizes.fold((0.0, 0.0), |most, one| if one.0 > most.0 { one } else { most })
 }
 
 /// The four shapes in a box of 2.5 mm, the tube with a hole of 1 mm, by their names.
-pub fn four_shapes() -> [(&'static str, MagnetShape); 4] {
+fn four_shapes() -> [(&'static str, MagnetShape); 4] {
     let (diameter_mm, length_mm) = (2.5, 2.5);
     [
         ("cylinder", MagnetShape::Cylinder { diameter_mm, length_mm }),
@@ -115,74 +96,8 @@ pub fn four_shapes() -> [(&'static str, MagnetShape); 4] {
     ]
 }
 
-/// Bx over the motion, of each shape.
-pub fn shape_curves() -> Vec<Curve> {
-    let curve = |(name, shape): (&str, MagnetShape)| {
-        let model = facing(shape, GAP_MM);
-        let field = |x_mm| model.response(Vector3::new(x_mm, 0.0, 0.0)).field_g.x;
-        over(name.to_owned(), -MOTION_MM, MOTION_MM, field)
-    };
-    four_shapes().map(curve).to_vec()
-}
-
-/// S over the motion, for several diameters.
-pub fn motion_curves() -> Vec<Curve> {
-    let curve = |diameter_mm: f64| {
-        let model = cylinder(diameter_mm, HEIGHT_MM, GAP_MM);
-        over(format!("diameter {diameter_mm} mm"), -MOTION_MM, MOTION_MM, |x_mm| {
-            sensitivity(&model, x_mm)
-        })
-    };
-    DIAMETERS_MM.map(curve).to_vec()
-}
-
-/// Greatest S over the magnet's length, for several diameters.
-pub fn length_curves() -> Vec<Curve> {
-    let curve = |diameter_mm: f64| {
-        over(format!("diameter {diameter_mm} mm"), 0.5, 10.0, |length_mm| {
-            max_sensitivity(&cylinder(diameter_mm, length_mm, GAP_MM)).0
-        })
-    };
-    DIAMETERS_MM.map(curve).to_vec()
-}
-
-/// Greatest S over the magnet's diameter, for several lengths.
-pub fn diameter_curves() -> Vec<Curve> {
-    let curve = |length_mm: f64| {
-        over(format!("length {length_mm} mm"), 1.0, 10.0, |diameter_mm| {
-            max_sensitivity(&cylinder(diameter_mm, length_mm, GAP_MM)).0
-        })
-    };
-    [1.0, 2.0, 4.0, 8.0].map(curve).to_vec()
-}
-
-/// Greatest S over the gap, for several diameters.
-pub fn gap_curves() -> Vec<Curve> {
-    let curve = |diameter_mm: f64| {
-        over(format!("diameter {diameter_mm} mm"), 1.0, 5.0, |gap_mm| {
-            max_sensitivity(&cylinder(diameter_mm, HEIGHT_MM, gap_mm)).0
-        })
-    };
-    DIAMETERS_MM.map(curve).to_vec()
-}
-
-/// Field of the opposite finger's magnet over the distance of their centres, as the logarithm of gauss.
-pub fn neighbour_curves() -> Vec<Curve> {
-    let curve = |diameter_mm: f64| {
-        let model = cylinder(diameter_mm, HEIGHT_MM, GAP_MM);
-        over(format!("diameter {diameter_mm} mm"), 9.0, 60.0, |distance_mm| {
-            libm::log10(interference::neighbour_field(&model, distance_mm).norm())
-        })
-    };
-    DIAMETERS_MM.map(curve).to_vec()
-}
-
-fn over(name: String, from: f64, to: f64, of: impl Fn(f64) -> f64) -> Curve {
-    Curve { name, points: steps(from, to).map(|x| [x, of(x)]).collect() }
-}
-
 /// Equidistant numbers including both ends.
-pub fn steps(from: f64, to: f64) -> impl Iterator<Item = f64> {
+fn steps(from: f64, to: f64) -> impl Iterator<Item = f64> {
     (0..=CURVE_POINTS).map(move |i| from + (to - from) * f64::from(i) / f64::from(CURVE_POINTS))
 }
 
@@ -196,7 +111,7 @@ const UT_PER_G: f64 = 100.0;
 
 /// Result of checking a claim.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Verdict {
+enum Verdict {
     /// Confirmed.
     Reproduced,
     /// Not confirmed.
@@ -207,7 +122,7 @@ pub enum Verdict {
 
 impl Verdict {
     /// Name for reports.
-    pub fn name(self) -> &'static str {
+    fn name(self) -> &'static str {
         match self {
             Self::Reproduced => "reproduced",
             Self::NotReproduced => "not reproduced",
@@ -222,21 +137,21 @@ impl Verdict {
 
 /// A claim of the paper.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Claim {
+struct Claim {
     /// Claim.
-    pub says: &'static str,
+    says: &'static str,
     /// Section.
-    pub place: &'static str,
+    place: &'static str,
     /// Recomputed result.
-    pub found: String,
+    found: String,
     /// The numbers of the result on which the verdict depends.
-    pub figures: Vec<f64>,
+    figures: Vec<f64>,
     /// Verdict.
-    pub verdict: Verdict,
+    verdict: Verdict,
 }
 
 /// Checks all claims, with designs of ABS and of steel, and the design of ABS with the widest range.
-pub fn check_claims(designs: &[Vec<Candidate>; 2], widest: Option<&Candidate>) -> Vec<Claim> {
+fn check_claims(designs: &[Vec<Candidate>; 2], widest: Option<&Candidate>) -> Vec<Claim> {
     let [plastic, metal] = designs;
     vec![
         patterns(),
@@ -307,9 +222,7 @@ fn constant() -> Claim {
 /// Coefficient of determination of `a + b ln L` for S over the length.
 fn log_share(from_mm: f64, to_mm: f64) -> f64 {
     let points: Vec<[f64; 2]> = steps(from_mm, to_mm)
-        .map(|length_mm| {
-            [libm::log(length_mm), max_sensitivity(&cylinder(3.0, length_mm, GAP_MM)).0]
-        })
+        .map(|length_mm| [length_mm.ln(), max_sensitivity(&cylinder(3.0, length_mm, GAP_MM)).0])
         .collect();
     let matrix = DMatrix::from_fn(points.len(), 2, |i, j| if j == 0 { 1.0 } else { points[i][0] });
     let values = DVector::from_iterator(points.len(), points.iter().map(|point| point[1]));

@@ -44,8 +44,6 @@ pub struct DisturbanceEvent {
     pub error_at: Option<u32>,
     /// First frame with the flag set while the magnet's field was present.
     pub flag_at: Option<u32>,
-    /// Maxima of the measures up to the latest timely detection.
-    pub max_measures: [f64; 4],
 }
 
 impl DisturbanceSequence {
@@ -109,17 +107,12 @@ impl DisturbanceEvent {
     }
 
     /// Adds one frame; `is_wrong` where a force error exceeds [`alarm_error_n`].
-    pub fn update(&mut self, frame: u32, is_wrong: bool, flag: bool, measures: [f64; 4]) {
+    pub fn update(&mut self, frame: u32, is_wrong: bool, flag: bool) {
         if is_wrong {
             self.error_at.get_or_insert(frame);
         }
         if flag {
             self.flag_at.get_or_insert(frame);
-        }
-        if self.error_at.is_none_or(|at| frame <= at + MAX_LATENCY) {
-            for (max, now) in self.max_measures.iter_mut().zip(measures) {
-                *max = max.max(now);
-            }
         }
     }
 }
