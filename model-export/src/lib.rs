@@ -15,6 +15,8 @@
 //! - [`gru`]: recurrent network: training, quantisation, tables.
 //! - [`stop`]: long computations that can be stopped.
 
+#![warn(missing_docs)]
+
 pub mod design;
 pub mod effects;
 pub mod fit;

@@ -42,13 +42,11 @@ impl CsvTable {
         compress(folder, name);
     }
 
-    /// Index of a column.
     pub fn index(&self, column: &str) -> usize {
         let index = self.header.iter().position(|name| name == column);
         index.unwrap_or_else(|| panic!("no column {column}"))
     }
 
-    /// Values of a column.
     pub fn numbers(&self, column: &str) -> Vec<f64> {
         let i = self.index(column);
         self.rows.iter().map(|row| row[i].parse().expect("a number")).collect()

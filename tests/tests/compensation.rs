@@ -123,7 +123,6 @@ fn effect_with_values(id: &str) -> (EffectTerm, Vec<f64>) {
     (effect, values)
 }
 
-/// A formula with one coefficient.
 fn formula(text: &str, coefficient: f64) -> (EffectTerm, Vec<f64>) {
     let columns: Vec<String> = track().covariates.into_keys().collect();
     let parsed = Expression::parse(text, &[], &columns).unwrap();

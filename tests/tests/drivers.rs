@@ -16,7 +16,6 @@ use firmware::sensors::hall::als31300::Als31300;
 use firmware::sensors::hall::{self, HallReading, HallSample, HallSensor, TRANSFER_BYTES};
 use firmware::sensors::imu::{Imu, ImuError, ImuReading, Lsm6ds3};
 
-/// All kinds of bus errors.
 fn bus_errors() -> [ErrorKind; 7] {
     use ErrorKind::{ArbitrationLoss, Bus, NoAcknowledge, Other, Overrun};
     use embedded_hal_async::i2c::NoAcknowledgeSource::{Address, Data, Unknown};

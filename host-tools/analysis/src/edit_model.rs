@@ -28,13 +28,10 @@ use crate::progress;
 pub struct ModelEdit {
     /// The recordings.
     pub campaign: Campaign,
-    /// Effects and fit before.
     pub before: (Vec<EffectTerm>, JointFit),
-    /// Effects and fit after.
     pub after: (Vec<EffectTerm>, JointFit),
     /// Magnitudes of the effects after.
     pub sizes: Vec<EffectSize>,
-    /// The new model.
     pub model: ModelFile,
     /// Held-out force errors before and after; `None` if the base has no inverse or an effect no compensation.
     pub force: Option<[ForceError; 2]>,

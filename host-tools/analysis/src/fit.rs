@@ -26,7 +26,6 @@ pub struct CampaignFit {
     pub campaign: Campaign,
     /// Fits of all sensors.
     pub fits: CampaignFits,
-    /// The model.
     pub model: ModelFile,
     /// Held-out force error; `None` if the base has no inverse.
     pub force: Option<ForceError>,

@@ -20,7 +20,6 @@ use crate::progress;
 /// Ratio of the lengths of two tables of one recording from which a clock is probably in another unit.
 const OTHER_UNIT: f64 = 30.0;
 
-/// A new campaign.
 pub struct ImportedCampaign {
     /// The recordings, as a fit will read them.
     pub campaign: Campaign,
@@ -80,7 +79,6 @@ pub fn import_campaign(
 /// An error with what to correct in the mapping: the user has the sources and the mapping, not the columns of the new recordings.
 #[derive(Debug)]
 pub struct ImportError {
-    /// The error.
     pub error: DataError,
     text: String,
 }

@@ -22,7 +22,6 @@ pub struct Disagreement {
     pub used_g: f64,
     /// The other estimator, in words.
     pub other: &'static str,
-    /// By the other one.
     pub other_g: f64,
 }
 

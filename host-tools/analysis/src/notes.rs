@@ -30,7 +30,6 @@ pub enum Note {
     },
     /// A comparison assumes another delay of the reference than the fit.
     ComparisonDelay {
-        /// File of the model.
         model: PathBuf,
         /// Delay of the fit in milliseconds.
         fitted_ms: f64,
@@ -38,10 +37,7 @@ pub enum Note {
         delay_ms: f64,
     },
     /// The design of a replayed recording differs from that of the model.
-    OtherDesign {
-        /// Folder of the recording.
-        recording: PathBuf,
-    },
+    OtherDesign { recording: PathBuf },
     /// The model was fitted to other recordings than those to which its effects are fitted again.
     OtherRecordings {
         /// Campaign of the model.
@@ -53,30 +49,15 @@ pub enum Note {
         floors: f64,
     },
     /// A sensor of the model whose field or forces were not recorded has no replay.
-    NotReplayed {
-        /// Number of the sensor.
-        sensor: u32,
-    },
+    NotReplayed { sensor: u32 },
     /// Every estimate of a sensor is invalid: the errors are without it.
-    NoValidEstimate {
-        /// Number of the sensor.
-        sensor: u32,
-    },
+    NoValidEstimate { sensor: u32 },
     /// A sensor of the model whose field or forces were not recorded is not compared.
-    NotRecorded {
-        /// Number of the sensor.
-        sensor: u32,
-    },
+    NotRecorded { sensor: u32 },
     /// A recorded sensor that the model does not have is not compared.
-    NotInModel {
-        /// Number of the sensor.
-        sensor: u32,
-    },
+    NotInModel { sensor: u32 },
     /// A sensor of the model whose field or forces were not recorded gets no network.
-    NoNetwork {
-        /// Number of the sensor.
-        sensor: u32,
-    },
+    NoNetwork { sensor: u32 },
     /// An effect of the model that the device does not compensate.
     Uncompensated(UncompensatedEffect),
     /// The parameters of an effect are outside of the device's formats, so the device code was not evaluated.
@@ -85,32 +66,21 @@ pub enum Note {
     NoForces(MissingForces),
     /// Estimates without the compensation of an effect, because its covariate was not recorded.
     MissingInputs {
-        /// Number of estimates.
         estimates: u64,
         /// Names of all effects of the model.
         effects: Vec<String>,
     },
     /// No recording has a column of an effect, so the prediction is without the effect.
-    EffectWithoutColumn {
-        /// Name of the effect.
-        effect: String,
-        /// Name of the column.
-        column: String,
-    },
+    EffectWithoutColumn { effect: String, column: String },
     /// A covariate of an effect is constant, so the effect is not identifiable.
     ConstantCovariate {
-        /// Name of the column.
         column: String,
-        /// Name of the effect.
         effect: String,
         /// What to record instead; `None` for a formula.
         record: Option<&'static str>,
     },
     /// The ideal model was fitted to the held-out recording of a training too.
-    IdealModelNotHeldOut {
-        /// Name of the recording.
-        recording: String,
-    },
+    IdealModelNotHeldOut { recording: String },
 }
 
 impl Note {
@@ -134,7 +104,6 @@ impl Note {
 /// An effect of a model that the device does not compensate.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct UncompensatedEffect {
-    /// Name of the effect.
     pub effect: String,
     /// Reason, from the catalogue.
     pub reason: &'static str,
@@ -162,9 +131,7 @@ impl UncompensatedEffect {
 /// Error of an analysis with the notes made before it, which may explain it. Displayed as the error alone.
 #[derive(Debug)]
 pub struct ErrorWithNotes {
-    /// The notes.
     pub notes: Vec<Note>,
-    /// The error.
     pub error: anyhow::Error,
 }
 

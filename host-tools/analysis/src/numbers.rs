@@ -36,7 +36,6 @@ pub fn decimals_for(magnitude: f64) -> usize {
     (1.0 - magnitude.log10().floor()).clamp(0.0, 6.0) as usize
 }
 
-/// A number to three digits.
 pub fn three_digits(value: f64) -> String {
     match value.abs() {
         size if size >= 99.95 => format!("{value:.0}"),
@@ -77,12 +76,10 @@ pub fn maybe(value: Option<f64>) -> String {
     number(value.unwrap_or(f64::NAN))
 }
 
-/// Share in percent.
 pub fn percent(share: f64) -> String {
     if share.is_finite() { format!("{}\u{a0}%", number(100.0 * share)) } else { number(share) }
 }
 
-/// Share in whole percent.
 pub fn whole_percent(share: f64) -> String {
     match share {
         share if !share.is_finite() => number(share),

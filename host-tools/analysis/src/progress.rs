@@ -55,7 +55,6 @@ pub struct Stages {
     end: Arc<Mutex<Option<Instant>>>,
 }
 
-/// Steps of the bar.
 const BAR_STEPS: f64 = 1000.0;
 /// Share of the work from which the rest is estimated.
 const LEAST_SHARE: f64 = 0.1;

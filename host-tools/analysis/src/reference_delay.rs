@@ -69,7 +69,6 @@ pub struct ForceSeries {
 pub struct Delay {
     /// Added to the reference's time to obtain the board's, in seconds.
     pub delay_s: f64,
-    /// Standard error in seconds.
     pub standard_error_s: f64,
     /// 95 % interval in seconds.
     pub interval_s: [f64; 2],

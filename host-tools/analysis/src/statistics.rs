@@ -11,7 +11,6 @@ pub struct Moments {
 }
 
 impl Moments {
-    /// Adds a value.
     pub fn add(&mut self, value: f64) {
         self.count += 1.0;
         self.sum += value;
@@ -36,22 +35,18 @@ impl Moments {
         }
     }
 
-    /// Mean.
     pub fn mean(&self) -> f64 {
         self.sum / self.count
     }
 
-    /// Root of the mean square.
     pub fn rms(&self) -> f64 {
         (self.squares / self.count).sqrt()
     }
 
-    /// Standard deviation.
     pub fn std(&self) -> f64 {
         (self.squares / self.count - self.mean().powi(2)).max(0.0).sqrt()
     }
 
-    /// Number of values.
     pub fn rows(&self) -> f64 {
         self.count
     }
@@ -67,11 +62,9 @@ const LEAST: f64 = 1e-6;
 /// Statistics of an error, in the unit of the error.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ErrorStatistics {
-    /// Root mean square.
     pub rms: f64,
     /// Mean, which a tare or an offset would remove.
     pub mean: f64,
-    /// Standard deviation.
     pub std: f64,
     /// 95th percentile of the absolute error.
     pub p95: f64,
@@ -122,7 +115,6 @@ impl ErrorAccumulator {
         self
     }
 
-    /// Number of rows.
     pub fn rows(&self) -> f64 {
         self.moments.rows()
     }
@@ -157,7 +149,6 @@ pub fn mean_and_std(values: &[f64]) -> (f64, f64) {
     (mean, (values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / count).sqrt())
 }
 
-/// Root mean square of the finite values.
 pub fn rms_of_finite(values: impl IntoIterator<Item = f64>) -> f64 {
     pooled_rms(values.into_iter().filter(|value| value.is_finite()))
 }

@@ -67,7 +67,6 @@ pub struct WorkbenchModel {
 
 /// Residuals of one channel over a covariate, of the fit to all rows.
 pub struct ResidualScatter {
-    /// The covariate.
     pub covariate: Covariate,
     /// Covariate and residual in gauss, in order of time.
     pub all: Vec<[f64; 2]>,
@@ -78,9 +77,7 @@ pub struct ResidualScatter {
 /// A channel and a time interval of a recording.
 #[derive(Clone, Debug, Deserialize)]
 pub struct Interval {
-    /// Name of the recording.
     pub recording: String,
-    /// Number of the sensor.
     pub sensor: u32,
     /// Index of the field axis.
     pub axis: usize,
@@ -93,7 +90,6 @@ pub struct Interval {
 /// What an effect would add to a model.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ScoredEffect {
-    /// Name of the effect.
     pub effect: String,
     /// Predicted excess of the force error over its noise with the effect, in newtons, by the linearised model; `None` where the
     /// device computes no forces.

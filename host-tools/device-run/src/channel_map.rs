@@ -67,7 +67,6 @@ impl SensorChannels {
         channels.collect()
     }
 
-    /// Field in a row, in gauss.
     pub fn field_g(&self, row: &RawRow) -> [f64; 3] {
         self.field.map(|channel| row.hall[channel])
     }

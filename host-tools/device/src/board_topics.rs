@@ -11,7 +11,6 @@ use model_export::recordings::mcap::{
 const STATE: [&MessageLayout; 5] =
     [&Heartbeat::LAYOUT, &FaultEvent::LAYOUT, &GripStatus::LAYOUT, &Power::LAYOUT, &Timing::LAYOUT];
 
-/// The topics of a board.
 pub struct BoardTopics<S: TopicSink> {
     topics: RecordingTopics<S>,
     sensors: Vec<usize>,

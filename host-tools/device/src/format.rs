@@ -180,7 +180,6 @@ fn sensor(number: usize, sensor: &SensorState, now_s: f64) -> Value {
     })
 }
 
-/// Active fault as JSON.
 pub fn fault_json((&(code, source), active): (&(u16, Option<u8>), &ActiveFault)) -> Value {
     json!({
         "code": code,
@@ -192,7 +191,6 @@ pub fn fault_json((&(code, source), active): (&(u16, Option<u8>), &ActiveFault))
     })
 }
 
-/// Name of a validity.
 pub const fn validity_name(validity: Validity) -> &'static str {
     match validity {
         Validity::Valid => "valid",

@@ -155,9 +155,7 @@ pub struct ReferenceRow {
 /// Pose of the gripper as a host knows it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct HostPose {
-    /// Roll and pitch in radians.
     pub roll_pitch_rad: Option<[f64; 2]>,
-    /// Yaw in radians.
     pub yaw_rad: Option<f64>,
     /// Acceleration without gravity in m/s^2, gripper axes.
     pub linear_accel_mps2: Option<[f64; 3]>,

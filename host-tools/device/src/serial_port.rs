@@ -9,7 +9,6 @@ use serialport::{ClearBuffer, SerialPort};
 
 use crate::source::{ConnectionLost, Source, WAIT};
 
-/// Serial line.
 pub struct SerialLine {
     port: Box<dyn SerialPort>,
     path: String,

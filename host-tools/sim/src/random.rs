@@ -7,7 +7,6 @@ use std::f64::consts::TAU;
 
 /// Purpose of a random stream. The order is part of the streams' definition.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[allow(missing_docs)] // The names state the purpose.
 pub enum Purpose {
     RandomEffects,
     Sizes,

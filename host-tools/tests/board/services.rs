@@ -33,7 +33,6 @@ pub fn board() -> VirtualTimeBoard {
     VirtualTimeBoard::start(program, Box::new(world))
 }
 
-/// Runs board and host.
 pub fn run_to(board: &mut VirtualTimeBoard, host: &mut CanHost, ms: u64) {
     let from_ms = board.clock.now_us().saturating_sub(FIRST_TICK_US) / 1000;
     for ms in from_ms..ms {

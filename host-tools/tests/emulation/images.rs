@@ -31,7 +31,6 @@ pub enum Variant {
     Nominal,
 }
 
-/// Number of variants.
 const VARIANTS: usize = Variant::Nominal as usize + 1;
 
 impl Variant {

@@ -301,7 +301,6 @@ impl Cell {
     }
 }
 
-/// Fills a pipe.
 fn fill(writer: &mut std::io::PipeWriter) {
     use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
     let flags = fcntl_getfl(&*writer).unwrap();

@@ -2,7 +2,6 @@
 
 use serde::Deserialize;
 
-/// A scenario.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Scenario {

@@ -321,7 +321,6 @@ impl Host {
     }
 }
 
-/// Sends a message to the board; returns its frame.
 fn send(message: Message, board: &Connections) -> CanFrame {
     let id = frame_id(DEFAULT_NODE, message.number());
     let frame = CanFrame::from_bytes(id, message.to_bytes());

@@ -104,7 +104,6 @@ impl WorkDir {
         dir
     }
 
-    /// Path of a file in the folder.
     pub fn path(&self, name: &str) -> PathBuf {
         self.0.path().join(name)
     }

@@ -57,7 +57,6 @@ const MOTION_MM: f64 = 3.0;
 /// Materials of the paper's figure: one plastic, one metal.
 const MATERIALS: [&str; 2] = ["ABS", "17-4PH"];
 
-/// Points of a curve.
 const CURVE_POINTS: u32 = 80;
 
 /// An axially magnetised magnet that faces the sensor.
@@ -146,7 +145,6 @@ struct Claim {
     found: String,
     /// The numbers of the result on which the verdict depends.
     figures: Vec<f64>,
-    /// Verdict.
     verdict: Verdict,
 }
 

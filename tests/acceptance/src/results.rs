@@ -17,7 +17,6 @@ pub struct Section {
     pub title: &'static str,
     /// Seeds and number of campaigns, grippers or grasps.
     pub extent: String,
-    /// Conditions.
     pub conditions: String,
     /// Tables in Markdown.
     pub tables: String,
@@ -82,7 +81,6 @@ pub fn replace_section(current: &str, marker: &str, text: &str) -> Result<String
     Ok(format!("{}{section}{rest}", &current[..start]))
 }
 
-/// A table in Markdown.
 pub fn markdown_table<const N: usize>(
     header: [&str; N],
     rows: impl IntoIterator<Item = [String; N]>,

@@ -8,7 +8,6 @@ use mcap::records::op;
 
 use super::bytes::{Bytes, change};
 
-/// The mapping of a bag.
 #[allow(dead_code)] // The fuzz targets read without one.
 pub const MAPPING: &str = r#"description = "a bag"
 [hall]

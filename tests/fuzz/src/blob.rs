@@ -51,7 +51,6 @@ const EXTREMES: [u32; 8] =
 /// Results of a calibration.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Tally {
-    /// Decoded.
     pub decoded: u32,
     /// Decoded with compensated effects.
     pub effects: u32,

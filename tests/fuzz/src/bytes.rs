@@ -29,7 +29,6 @@ impl<'a> Bytes<'a> {
         all
     }
 
-    /// One.
     pub fn byte(&mut self) -> u8 {
         let [byte] = self.array();
         byte

@@ -257,7 +257,6 @@ fn message(id: u16, data: &[u8]) {
 enum Verdict {
     Nothing,
     Stop,
-    /// A challenge with this number.
     Challenge(u64),
     /// A session by this operation.
     Opened(u8),
@@ -267,7 +266,6 @@ enum Verdict {
     Renewed,
     /// A refused service, with its status.
     Refused(u8),
-    /// A refused parameter.
     ParameterRefused,
     /// The command of these very bytes.
     Command,

@@ -10,7 +10,6 @@ pub type Counts<const N: usize> = [(&'static str, u32); N];
 /// Sums over executions.
 #[derive(Debug, Default)]
 pub struct Sums {
-    /// Number of executions.
     pub executions: u64,
     sums: BTreeMap<&'static str, u64>,
 }

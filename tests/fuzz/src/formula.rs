@@ -54,9 +54,7 @@ const NUMBERS: [&str; 10] = ["2", "0.5", "1e3", "1.5e-2", "3", "0", "10", "1E1",
 /// Results of a formula.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Tally {
-    /// Accepted.
     pub accepted: u32,
-    /// Refused.
     pub refused: u32,
     /// Values that were compared.
     pub compared: u32,

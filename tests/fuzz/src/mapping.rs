@@ -39,9 +39,7 @@ const SCALES: [&str; 6] = ["1", "-1", "0.5", "2e3", "0", "1e13"];
 /// Results of an import.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Tally {
-    /// Imported.
     pub imported: u32,
-    /// Refused.
     pub refused: u32,
     /// Imported values that were compared with those of the source.
     pub compared: u32,

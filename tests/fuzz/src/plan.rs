@@ -17,9 +17,7 @@ const ROUNDING: f64 = 1e-9;
 /// Results of reading a plan.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Tally {
-    /// Accepted.
     pub accepted: u32,
-    /// Refused.
     pub refused: u32,
     /// Times at which loads, opening and temperature were compared with the limits of the plan.
     pub compared: u32,

@@ -24,7 +24,6 @@ const REST: u32 = 512;
 /// What a story came to.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Tally {
-    /// Ticks.
     pub ticks: u32,
     /// Estimates that may be used.
     pub valid: u32,

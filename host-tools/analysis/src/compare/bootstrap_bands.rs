@@ -9,7 +9,6 @@ use rand_chacha::ChaCha8Rng;
 
 /// Bootstrap resamples.
 const DRAWS: usize = 200;
-/// Maximum number of blocks.
 const MAX_BLOCKS: f64 = 300.0;
 
 /// Block bootstrap over time (Künsch 1989), with the same resamples for all covariates.
@@ -29,7 +28,6 @@ struct Cell {
 }
 
 impl BlockBootstrap {
-    /// Blocks of `block_s` seconds.
     pub fn new(sensors: &[ResidualTable], block_s: f64, seed: u64) -> Self {
         let total_s: f64 = sensors.iter().map(duration_s).fold(0.0, f64::max);
         let block_s = block_s.max(total_s / MAX_BLOCKS);

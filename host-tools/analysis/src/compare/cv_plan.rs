@@ -22,19 +22,16 @@ const NOT_A_FIT: f64 = 1.02;
 pub struct ModelRefit {
     /// Rows and base models.
     pub setup: FitSetup,
-    /// The fit.
     pub fit: JointFit,
 }
 
 /// A model for the rows that it was not fitted to.
 pub struct FoldModel {
-    /// The model.
     pub model: ModelFile,
     /// Effects of the model.
     pub additions: Vec<EffectTerm>,
 }
 
-/// Folds of one recording.
 #[derive(Clone, Debug)]
 pub struct RecordingFolds {
     /// Name, folder and hash.

@@ -29,9 +29,7 @@ const POINTS: usize = 400_000;
 
 /// Results of one sensor over the campaign.
 pub struct SensorEvaluation {
-    /// Number of the sensor.
     pub sensor: u32,
-    /// Its orientation.
     orientation: SensorOrientation,
     /// Forces that its model depends on.
     pub forces: Vec<(u32, Axis)>,

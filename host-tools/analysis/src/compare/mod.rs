@@ -134,9 +134,7 @@ impl ErrorRows {
 /// An effect of a model whose error is not one of the device's model, with its magnitude over all sensors.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct EffectOrigin {
-    /// Name of the effect.
     pub effect: String,
-    /// Origin of its error.
     #[serde(skip)]
     pub origin: ErrorOrigin,
     /// Magnitude.
@@ -301,7 +299,6 @@ pub struct Comparison {
 pub struct ComparisonProvenance {
     /// Campaign that the model was fitted to.
     pub fitted_campaign: String,
-    /// Number of its recordings.
     pub fitted_recordings: usize,
     /// Number of its aligned rows.
     pub fitted_rows: usize,
@@ -313,7 +310,6 @@ pub struct ComparisonProvenance {
     pub block_s: f64,
     /// Seed of the bootstrap.
     pub seed: u64,
-    /// Scale of the sensors.
     pub sensor_scale: SensorScale,
     /// Names of the compared recordings, each with the SHA-256 over its files.
     pub recordings: Vec<(String, String)>,
@@ -346,9 +342,7 @@ pub struct NoiseFloor {
 /// Error of the field on one axis of one sensor, in gauss.
 #[derive(Clone, Copy, Debug)]
 pub struct FieldAxisErrors {
-    /// Number of the sensor.
     pub sensor: u32,
-    /// Axis.
     pub axis: Axis,
     /// Measured minus modelled, cross-validated.
     pub error: ErrorStatistics,
@@ -361,7 +355,6 @@ pub struct FieldAxisErrors {
 /// Error of one force of one sensor in newtons: device minus reference.
 #[derive(Clone, Copy, Debug)]
 pub struct ForceAxisErrors {
-    /// Number of the sensor.
     pub sensor: u32,
     /// X lateral, Z longitudinal.
     pub axis: Axis,
@@ -384,7 +377,6 @@ pub struct ForceAxisErrors {
 /// Unit of a residual: of the forces through the device's inverse, or of the signal where the forces are not determined.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ErrorUnit {
-    /// Newtons.
     Newton,
     /// That of the sensors' signals.
     Signal(SignalUnit),
@@ -494,7 +486,6 @@ pub struct ResidualMap {
 /// An interval of time with a large error.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct WorstInterval {
-    /// Name of the recording.
     pub recording: String,
     /// Start in seconds.
     pub from_s: f64,
@@ -504,7 +495,6 @@ pub struct WorstInterval {
     pub sensor: u32,
     /// RMS residual over all sensors and axes.
     pub rms: f64,
-    /// Its unit.
     pub error_unit: ErrorUnit,
     /// Means of the main covariates.
     #[serde(skip)]
@@ -516,18 +506,14 @@ pub struct WorstInterval {
 pub struct MeanCondition {
     /// Short label; empty where the unit says it.
     pub label: &'static str,
-    /// Mean.
     pub mean: f64,
-    /// Unit.
     pub unit: &'static str,
 }
 
 /// One sensor over one recording.
 #[derive(Clone, Debug, Default)]
 pub struct Trace {
-    /// Name of the recording.
     pub recording: String,
-    /// Number of the sensor.
     pub sensor: u32,
     /// Unit of the field.
     pub unit: SignalUnit,

@@ -13,7 +13,6 @@ pub const MAX_ROWS: usize = 30_000;
 /// Residuals and covariates of one sensor.
 #[derive(Clone, Debug)]
 pub struct ResidualTable {
-    /// Number of the sensor.
     pub sensor: u32,
     /// Index of the recording of each row.
     pub recording: Vec<u32>,
@@ -34,7 +33,6 @@ pub struct ResidualTable {
 /// Values of a covariate by row.
 #[derive(Clone, Debug)]
 pub struct CovariateColumn {
-    /// The covariate.
     pub of: Covariate,
     /// Values; NaN where it was not recorded.
     pub values: Vec<f32>,
@@ -94,7 +92,6 @@ impl ResidualTable {
         self
     }
 
-    /// Column of the covariate with this name.
     pub fn column(&self, name: &str) -> Option<&CovariateColumn> {
         self.covariates.iter().find(|column| column.of.name == name)
     }
@@ -110,7 +107,6 @@ impl ResidualTable {
     }
 }
 
-/// Unit of the residuals of all sensors.
 pub fn error_unit(sensors: &[ResidualTable]) -> ErrorUnit {
     sensors.first().map_or_else(ErrorUnit::default, |sensor| sensor.unit)
 }

@@ -13,16 +13,12 @@ pub enum Evidence {
     DependentRecordings {
         /// Why.
         kind: DependenceKind,
-        /// The recordings.
         recordings: RecordingSet,
         /// Least share of rows, time or variance that two of them have in common.
         share: f64,
     },
     /// Rows in an order without time.
-    ShuffledRows {
-        /// The recordings.
-        recordings: RecordingSet,
-    },
+    ShuffledRows { recordings: RecordingSet },
     /// Two estimates of the noise disagree.
     NoiseDisagreement(Disagreement),
     /// Timestamps decrease.
@@ -35,7 +31,6 @@ pub enum Evidence {
         after_us: f64,
         /// Rows earlier than a previous row.
         late: u64,
-        /// All rows.
         rows: u64,
         /// Exact duplicates of a previous row.
         copies: u64,
@@ -60,22 +55,18 @@ pub enum Evidence {
     },
     /// Counts wrapped: the values are lower or higher by the range of an integer.
     Wrapped {
-        /// The columns.
         columns: ColumnSet,
         /// Column with the most of these rows.
         worst: String,
-        /// Number of its rows.
         rows: u64,
         /// Its number of rows in all.
         of: u64,
-        /// Number of counts.
         counts: f64,
         /// To be added, in the unit of the column.
         offset: f64,
     },
     /// Timestamp steps far above the sampling period.
     ClockGaps {
-        /// Number of gaps.
         gaps: u64,
         /// Recordings with gaps.
         recordings: RecordingSet,
@@ -103,7 +94,6 @@ pub enum Evidence {
     },
     /// Magnitudes of a covariate are those of another unit.
     CovariateUnit {
-        /// The columns.
         columns: ColumnSet,
         /// Detected unit.
         found: &'static str,
@@ -113,12 +103,10 @@ pub enum Evidence {
         certain: bool,
         /// A column, as an example.
         example: String,
-        /// Its magnitude.
         magnitude: Magnitude,
     },
     /// Field channels differ from all others by one factor in noise and magnitude.
     ChannelUnit {
-        /// The columns.
         columns: ColumnSet,
         /// Noise of the first column relative to the median of the other channels.
         noise_ratio: f64,
@@ -127,9 +115,7 @@ pub enum Evidence {
     },
     /// Columns have one value in every row.
     StuckThroughout {
-        /// The columns.
         columns: ColumnSet,
-        /// The value.
         value: f64,
         /// True at the end of the sensor's range.
         at_limit: bool,
@@ -138,22 +124,18 @@ pub enum Evidence {
     },
     /// Columns are constant for a while.
     Frozen {
-        /// The columns.
         columns: ColumnSet,
         /// Start in seconds.
         from_s: f64,
         /// End in seconds.
         to_s: f64,
-        /// Number of rows.
         rows: u64,
-        /// The value.
         value: f64,
         /// White noise of the column.
         noise: f64,
     },
     /// Columns reach the end of the sensor's range.
     Saturated {
-        /// The columns.
         columns: ColumnSet,
         /// Column with the most saturated rows.
         worst: String,
@@ -162,7 +144,6 @@ pub enum Evidence {
     },
     /// Columns are clipped within the sensor's range.
     Clipped {
-        /// The columns.
         columns: ColumnSet,
         /// Column with the most clipped rows.
         worst: String,
@@ -175,7 +156,6 @@ pub enum Evidence {
     },
     /// Sensors without a temperature, where others have one.
     MissingTemperature {
-        /// Numbers of the sensors.
         sensors: Vec<u32>,
         /// Recordings without it.
         recordings: RecordingSet,
@@ -189,35 +169,27 @@ pub enum Evidence {
     },
     /// Single values deviate from both neighbours.
     Outliers {
-        /// The columns.
         columns: ColumnSet,
-        /// Number of values.
         values: u64,
         /// Threshold in standard deviations of the noise.
         threshold: f64,
         /// Column with the largest deviation.
         worst: String,
-        /// Its deviation in gauss.
         deviation_g: f64,
-        /// Its noise in gauss.
         noise_g: f64,
     },
     /// Quantisation is too coarse for the noise.
     CoarseSteps {
-        /// The columns.
         columns: ColumnSet,
         /// Column with the coarsest steps.
         worst: String,
-        /// Its step.
         step: f64,
-        /// True if it is in counts.
         in_counts: bool,
         /// Its span in steps.
         steps: f64,
     },
     /// Periodic disturbance.
     SpectralLine {
-        /// The columns.
         columns: ColumnSet,
         /// Frequencies in hertz.
         lines_hz: Vec<f64>,
@@ -232,7 +204,6 @@ pub enum Evidence {
     },
     /// Columns are exchanged, inverted or in another unit.
     ColumnErrors {
-        /// The errors.
         columns: Vec<(String, ColumnError)>,
         /// Recordings with these errors.
         recordings: RecordingSet,
@@ -277,7 +248,6 @@ pub enum Evidence {
         lag_ms: f64,
         /// Recordings with this offset.
         recordings: RecordingSet,
-        /// Number of sensors.
         sensors: usize,
         /// Fraction of the error above the noise that correcting the offset removes.
         share: f64,
@@ -289,7 +259,6 @@ pub enum Evidence {
 /// Offset and rate of the reference's clock in one recording.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ClockOffset {
-    /// Name of the recording.
     pub recording: String,
     /// To be added to the reference's time zero, in milliseconds.
     pub offset_ms: f64,
@@ -304,7 +273,6 @@ pub struct ClockOffset {
 /// Difference of one recording from the first.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RecordingOffset {
-    /// Name of the recording.
     pub recording: String,
     /// Column, or what differs.
     pub quantity: String,
@@ -317,7 +285,6 @@ pub struct RecordingOffset {
 /// Some recordings of a campaign.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RecordingSet {
-    /// Their names.
     pub names: Vec<String>,
     /// True if these are all recordings of the campaign.
     pub is_all: bool,
@@ -326,9 +293,7 @@ pub struct RecordingSet {
 /// Columns with the same finding.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ColumnSet {
-    /// Their names.
     pub names: Vec<String>,
-    /// Their recordings.
     pub recordings: RecordingSet,
 }
 
@@ -337,7 +302,6 @@ pub struct ColumnSet {
 pub enum Magnitude {
     /// Maximum absolute value.
     Maximum(f64),
-    /// Median.
     Median(f64),
     /// Median length of the vector that the column is part of.
     VectorLength(f64),
@@ -354,10 +318,8 @@ pub enum LineSource {
     Unknown,
 }
 
-/// Error of one column.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub enum ColumnError {
-    /// The values have the other sign.
     OtherSign,
     /// The values are in another column.
     RecordedAs {
@@ -366,7 +328,6 @@ pub enum ColumnError {
         /// True if they have the other sign there.
         negated: bool,
     },
-    /// A field is in this unit.
     FieldUnit(&'static str),
     /// A field is this multiple of the model's.
     FieldFactor {
@@ -375,7 +336,6 @@ pub enum ColumnError {
         /// True for raw counts, whose scale is stated in the recording.
         in_counts: bool,
     },
-    /// A force is in this unit.
     ForceUnit(&'static str),
     /// A force is this multiple of the one that the model needs.
     ForceFactor(f64),

@@ -94,7 +94,6 @@ pub enum Change {
         to: String,
         /// Source column.
         from: String,
-        /// Negate the values.
         negate: bool,
     },
 }

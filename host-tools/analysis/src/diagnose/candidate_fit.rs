@@ -38,7 +38,6 @@ const MIN_OF_EXCESS: f64 = 0.2;
 /// Another form of an accepted effect that reduces the error by less than this fraction of its reduction is its remainder.
 const MAX_REMAINDER: f64 = 0.2;
 
-/// A fitted candidate.
 struct FittedCandidate<'a> {
     screened: &'a ScreenedEffect,
     stage: FittedModel,

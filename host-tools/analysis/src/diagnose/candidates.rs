@@ -19,9 +19,7 @@ use statrs::distribution::{ContinuousCDF, StudentsT};
 /// A candidate that these recordings cannot test.
 #[derive(Clone, Debug)]
 pub struct UntestableEffect {
-    /// Name of the effect.
     pub effect: String,
-    /// Reason.
     pub reason: Reason,
     /// Recording that would test it.
     pub record: String,
@@ -213,7 +211,6 @@ const MIN_OF_FREE: f64 = 0.8;
 
 /// Score test of one candidate.
 pub struct ScreenedEffect {
-    /// The effect.
     pub candidate: EffectTerm,
     /// Result of the score test.
     pub evidence: CandidateScore,

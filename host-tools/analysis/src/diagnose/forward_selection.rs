@@ -17,7 +17,6 @@ use model_export::fit::score_test::ScoreTest;
 use model_export::recordings::Campaign;
 use rayon::prelude::*;
 
-/// Maximum number of steps.
 const MAX_STEPS: usize = 6;
 /// If a covariate explains more than this fraction of the residual and the best effect less than [`SMALL`] of that,
 /// the effect is not named: it would approximate something else.

@@ -82,7 +82,6 @@ const ALL_ROWS: f64 = 0.7;
 /// Fraction of what then remains that the replays take.
 const REPLAYS: f64 = 0.5;
 
-/// Results of a diagnosis.
 #[derive(Clone, Debug, Default)]
 pub struct Diagnosis {
     /// The model's file.
@@ -249,16 +248,13 @@ impl Reason {
 pub enum AssumedTimes {
     /// Of the recordings' starts.
     Starts,
-    /// Of the rows.
     Rows,
 }
 
 /// The verdict on one effect.
 #[derive(Clone, Debug)]
 pub struct Verdict {
-    /// Name of the effect.
     pub effect: String,
-    /// Kind of the verdict.
     pub kind: VerdictKind,
     /// True if much more than noise remains unexplained: names are then provisional, and other effects
     /// inconclusive.
@@ -288,7 +284,6 @@ pub struct Verdict {
     pub z_typical: f64,
     /// Plausible range of the magnitude, where the estimate is outside.
     pub implausible: Option<(f64, f64)>,
-    /// Reason.
     pub reason: Reason,
     /// Recording that would decide; empty if none is needed.
     pub record: String,
@@ -423,7 +418,6 @@ impl Diagnosis {
 /// Residual structure that depends on a covariate and that no effect explains.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Unexplained {
-    /// The covariate.
     pub covariate: String,
     /// Label in text.
     #[serde(skip)]
@@ -450,7 +444,6 @@ pub struct StaircaseStep {
 /// Offsets of sensors that are confounded with the ambient field of an effect in these recordings.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ConfoundedOffsets {
-    /// Numbers of the sensors.
     pub sensors: Vec<u32>,
     /// Range of roll, pitch and yaw in degrees.
     pub range_deg: [f64; 3],

@@ -13,7 +13,6 @@ const ALL_ROWS: f64 = 0.1;
 /// A candidate of the first screening.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FirstCandidate {
-    /// Name.
     pub effect: String,
     /// Reduction of the held-out squared error by the linearised model, as a fraction.
     pub gain: f64,

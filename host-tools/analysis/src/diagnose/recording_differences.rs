@@ -33,7 +33,6 @@ pub const CLEAR: f64 = 0.02;
 
 /// What differs between the recordings of a campaign.
 pub struct Differences {
-    /// As findings.
     pub findings: Vec<Finding>,
     /// What is subtracted from each recording.
     pub offsets: Vec<RecordingOffsets>,
@@ -67,7 +66,6 @@ impl Differences {
 
 /// Differences, and the campaign without them.
 pub struct Found {
-    /// The differences.
     pub differences: Differences,
     /// The campaign without those of a zero, and of a place that explains all.
     pub corrected: Campaign,

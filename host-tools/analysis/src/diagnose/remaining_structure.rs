@@ -39,19 +39,15 @@ pub struct RemainingStructure {
     pub recordings: Vec<RecordingShare>,
 }
 
-/// Part of a recording.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RecordingShare {
-    /// Name of the recording.
     pub recording: String,
     /// Fraction of the squared excess of all recordings.
     pub share: f64,
 }
 
-/// Part of a channel.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ChannelShare {
-    /// Number of the sensor.
     pub sensor: u32,
     /// Axis of the field.
     pub axis: &'static str,

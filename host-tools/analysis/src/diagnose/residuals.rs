@@ -19,7 +19,6 @@ use rayon::prelude::*;
 
 /// Minimum length of a bootstrap block in seconds.
 const MIN_BLOCK_S: f64 = 5.0;
-/// Minimum number of blocks.
 const MIN_BLOCKS: f64 = 15.0;
 
 /// Residuals of a model with all covariates.
@@ -91,7 +90,6 @@ pub struct EffectShape {
     pub effects: Vec<String>,
     /// The covariate, as in the recordings.
     pub covariate: String,
-    /// In words.
     pub words: String,
     /// Its unit; empty for a number without one.
     pub unit: &'static str,

@@ -24,7 +24,6 @@ const FORM: f64 = 0.8;
 /// Minimum gain of a named effect relative to an unnamed cause.
 pub const SMALL: f64 = 0.5;
 
-/// An accepted step.
 pub struct AcceptedStep {
     /// The effect added to the model.
     pub chosen: EffectTerm,
@@ -65,7 +64,6 @@ impl AcceptedStep {
         }
     }
 
-    /// As dropped.
     pub fn dropped(&self, reason: DropReason) -> DroppedStep {
         DroppedStep { step: self.chosen.name().to_owned(), gain: self.gain, reason }
     }
@@ -73,7 +71,6 @@ impl AcceptedStep {
 
 /// A fit of an effect that lowers the error in every fold, with a magnitude that the effect cannot have or that is not determined.
 pub struct ImplausibleFit {
-    /// The effect.
     pub effect: EffectTerm,
     /// Its magnitude in the fit.
     pub size: EffectSize,
@@ -119,9 +116,7 @@ impl DroppedStep {
     }
 }
 
-/// Result of the selection.
 pub struct Selection {
-    /// Accepted steps.
     pub steps: Vec<AcceptedStep>,
     /// Fits that lower the error with an implausible magnitude, the last of each effect.
     pub implausible: Vec<ImplausibleFit>,
@@ -301,7 +296,6 @@ const MAX_RELATIVE_ERROR: f64 = 10.0;
 /// The axis with the largest error.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct WorstAxis {
-    /// Number of the sensor.
     pub sensor: u32,
     /// `x`, `y` or `z`.
     pub axis: &'static str,

@@ -4,7 +4,6 @@ use crate::diagnose::{Diagnosis, Verdict, VerdictKind, recording_differences};
 use model_export::effects::EffectTerm;
 use model_export::model_file::BaseKind;
 
-/// Kind of a suggestion.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum SuggestionKind {
     /// No suggestion.
@@ -33,7 +32,6 @@ pub enum SuggestionKind {
 /// Suggestion for the next step.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Suggestion {
-    /// Kind.
     pub kind: SuggestionKind,
     /// Alternative commands; those of a correction one after the other.
     pub commands: Vec<String>,

@@ -61,7 +61,6 @@ pub fn default_epochs(is_quick: bool) -> u32 {
 
 /// One force of one sensor on the held-out recording.
 pub struct ForceEvaluation {
-    /// Number of the sensor.
     pub sensor: u32,
     /// 0: Fx, 1: Fz.
     pub axis: usize,
@@ -79,7 +78,6 @@ pub struct ForceEvaluation {
     pub nats: f64,
 }
 
-/// Result of a training.
 pub struct TrainingResult {
     /// Every force of every sensor.
     pub forces: Vec<ForceEvaluation>,
@@ -87,7 +85,6 @@ pub struct TrainingResult {
     pub held_out: String,
     /// Seed of the initial weights.
     pub seed: u64,
-    /// Number of epochs.
     pub epochs: u32,
     /// Sensors of each network.
     pub sensors: Vec<Vec<u32>>,

@@ -9,7 +9,6 @@ use nalgebra::Vector3;
 /// Corrections of one sensor over one recording.
 #[derive(Clone, Debug)]
 pub struct SensorCorrections {
-    /// Number of the sensor.
     pub sensor: u32,
     /// The board's clock in seconds, ascending.
     pub time_s: Vec<f64>,
@@ -26,10 +25,8 @@ pub struct SensorOffsets {
     pub field_g: [f64; 3],
 }
 
-/// Offsets of a recording, by the number of the sensor.
 pub type RecordingOffsets = BTreeMap<u32, SensorOffsets>;
 
-/// Adds the offsets of a recording to its corrections.
 pub fn add_offsets(corrections: &mut Vec<SensorCorrections>, offsets: &RecordingOffsets) {
     for (&sensor, offset) in offsets {
         if corrections.iter().all(|own| own.sensor != sensor) {

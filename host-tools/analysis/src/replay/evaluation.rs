@@ -288,7 +288,6 @@ fn training_recordings(
 
 /// One force of one sensor over all recordings.
 pub struct PooledAxis {
-    /// Number of the sensor.
     pub sensor: u32,
     /// 0: Fx, 1: Fz.
     pub axis: usize,

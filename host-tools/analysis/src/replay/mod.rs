@@ -90,7 +90,6 @@ pub struct SensorReplay {
     pub diverged: u64,
 }
 
-/// One recording.
 #[derive(Clone, Debug, Default)]
 pub struct RecordingReplay {
     /// Name of the recording.
@@ -155,7 +154,6 @@ pub struct ForceSample {
 pub struct ReplayInput<'a> {
     /// Tables and networks.
     pub models: ReplayModels<'a>,
-    /// Corrections of the sensors.
     pub corrections: &'a [SensorCorrections],
     /// Whether the field that no model compensates is subtracted.
     pub irreducible: Irreducible,

@@ -164,7 +164,6 @@ impl Outcome {
         })
     }
 
-    /// Its result as JSON.
     pub fn result_json(&self) -> Value {
         let mut result = json!(self.measured);
         result["code"] = self.code.name().into();
@@ -213,7 +212,6 @@ impl Measured {
     }
 }
 
-/// An object with the kind of its event.
 fn event_line(event: &str, object: &Value) -> String {
     let mut line = json!({ "event": event });
     if let (Some(line), Some(object)) = (line.as_object_mut(), object.as_object()) {

@@ -30,7 +30,6 @@ pub const CLOSED_MM: f64 = 0.5 * GripLimits::GRIPPER.flat_contact_mm as f64;
 /// Minimum force of a grasp in newtons.
 pub const MIN_FORCE_N: f64 = 5.0;
 
-/// Options of a session.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SessionOptions {
     /// Home the gripper if required.

@@ -82,7 +82,6 @@ pub struct View {
 
 /// How a session ended.
 pub struct Outcome {
-    /// Result.
     pub code: ResultCode,
     /// Why it is not [`ResultCode::Reached`].
     pub error: Option<Error>,

@@ -78,7 +78,6 @@ impl Identification {
 /// RMS errors of the forces over all sensors and axes of a recording, averaged over ten rows, on the same rows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ForceErrors {
-    /// Of the board, in newtons.
     pub board_n: f64,
     /// Of a replay of its readings, in newtons.
     pub replay_n: f64,

@@ -100,7 +100,6 @@ pub enum Notice {
 
 /// Emulated board with its ports.
 pub struct Emulation {
-    /// Emulated board.
     pub board: EmulatedBoard,
     /// Latency of the ticks.
     pub deadlines: Deadlines,

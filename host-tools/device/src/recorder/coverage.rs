@@ -23,9 +23,7 @@ const HALF_TURN_MPS2: f64 = 2.0 * 9.806_65;
 /// Covered range of one quantity.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CoveredRange {
-    /// Name of the quantity.
     pub quantity: &'static str,
-    /// Its unit.
     pub unit: &'static str,
     /// Width of the range that recordings need.
     pub needed: f64,

@@ -37,7 +37,6 @@ const POSE_COVARIATES: [&str; 6] =
 /// Row period of the reference's table in microseconds.
 const REFERENCE_US: u64 = 10_000;
 
-/// Counts of a recording.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct RecordingCounts {
     /// Sensors in the recording.
@@ -58,7 +57,6 @@ pub struct RecordingCounts {
     pub covariates: Vec<&'static str>,
     /// Rows omitted because a recorded covariate was missing.
     pub without_covariates: u64,
-    /// Rows of the reference.
     pub reference_rows: u64,
     /// Duration from the first to the last row.
     pub span_us: u64,
@@ -455,7 +453,6 @@ mod tests;
 pub struct SensorRow {
     /// Board time in microseconds.
     pub time_us: u64,
-    /// Readings of the sensors.
     pub readings: [Option<HallReading>; SENSORS],
     /// Lateral and longitudinal force in newtons that the board estimated; none where invalid and over a CAN bus.
     pub force_n: [Option<[f64; 2]>; SENSORS],

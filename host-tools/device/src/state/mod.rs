@@ -22,13 +22,11 @@ pub const FRESH_S: f64 = 0.1;
 /// Value with its time in seconds since the start of reception.
 #[derive(Clone, Copy, Debug)]
 pub struct Timestamped<T> {
-    /// Value.
     pub value: T,
     /// Time in seconds.
     pub at_s: f64,
 }
 
-/// State of one sensor.
 #[derive(Clone, Debug)]
 pub struct SensorState {
     /// Forces, lateral and longitudinal, in newtons.
@@ -67,7 +65,6 @@ impl Default for SensorState {
     }
 }
 
-/// Active fault.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ActiveFault {
     /// Start, in seconds since the start of reception.
@@ -99,7 +96,6 @@ const OTHER_PROTOCOL_S: f64 = 1.0;
 /// gripper while the gripper's own arrive.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct OtherProtocol {
-    /// Number of these messages.
     pub messages: u64,
     /// Version of the latest.
     pub major: u8,
@@ -142,11 +138,9 @@ pub struct GripperState {
     pub power: Option<Timestamped<Power>>,
     /// Covariates of the last tick.
     pub covariates: Option<Timestamped<Covariates>>,
-    /// Sensors.
     pub sensors: [SensorState; SENSORS],
     /// Active faults by code and source, where the source is known.
     pub faults: BTreeMap<(u16, Option<u8>), ActiveFault>,
-    /// Lost messages.
     pub lost: LostMessages,
     /// Messages of another protocol.
     pub other_protocol: OtherProtocol,

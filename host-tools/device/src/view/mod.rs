@@ -128,7 +128,6 @@ fn sensor(number: usize, sensor: &SensorState, now_s: f64) -> Row<'static> {
     }))
 }
 
-/// Age of a value.
 fn age(seconds: f64) -> String {
     match seconds {
         s if s < 0.1 => "now".to_owned(),

@@ -16,7 +16,6 @@ const MAX_UNPLUG_S: f64 = 86_400.0;
 /// Simulated disconnection of a sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Unplug {
-    /// Number of the sensor.
     pub sensor: usize,
     /// Time in seconds since the board's start.
     pub at_s: f64,

@@ -12,12 +12,10 @@ use plotters::prelude::*;
 use sim::closed_loop::drive_result::DriveResult;
 use sim::closed_loop::motor_rig::{MotorSample, POSITION_STEP_MM};
 
-/// Title.
 pub fn title(result: &DriveResult) -> String {
     format!("magpie: the drive with screw {:?}", result.case.lead)
 }
 
-/// All sections.
 pub fn sections(result: &DriveResult) -> Vec<Section> {
     vec![
         time_section(result),

@@ -10,12 +10,10 @@ use maud::{Markup, html};
 use sim::closed_loop::grasp_result::{GraspResult, GraspSample, GraspTrace};
 use sim::closed_loop::landing::{self, LandingResult};
 
-/// Title of a grasp.
 pub fn title(gripped: &GraspResult) -> String {
     format!("magpie: a grasp of {} N with screw {:?}", gripped.own.target.set_n, gripped.case.lead)
 }
 
-/// Sections of a grasp.
 pub fn sections(gripped: &GraspResult) -> Vec<Section> {
     vec![grasp_section(gripped), drive::assumptions_section(&gripped.assumed())]
 }

@@ -47,13 +47,11 @@ pub const MARK: &str = "<!-- report of magpie -->\n";
 pub struct Section {
     /// HTML identifier.
     pub id: &'static str,
-    /// Its heading.
     pub heading: String,
     /// Content.
     pub body: Markup,
 }
 
-/// Page of a comparison.
 pub fn page(comparison: &Comparison) -> String {
     page_with(comparison, &[])
 }

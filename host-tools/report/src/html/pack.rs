@@ -88,7 +88,6 @@ fn difference(one: &Envelope, other: &Envelope) -> Envelope {
     Envelope { time_s: one.time_s.clone(), low: pairs(f64::min), high: pairs(f64::max) }
 }
 
-/// Channels of a trace.
 pub fn channels(trace: &Trace) -> impl Iterator<Item = Channel<'_>> {
     let forces = ["lateral force", "longitudinal force"];
     let fields = ["field x", "field y", "field z"];
@@ -106,7 +105,6 @@ pub struct Channel<'a> {
     pub kind: &'static str,
     /// Label.
     pub name: &'static str,
-    /// Unit.
     pub unit: &'static str,
     /// Measured (or reference) curve.
     pub measured: &'a Envelope,

@@ -68,7 +68,6 @@ pub fn figure(
 /// What the numbers of an axis are, and how its labels are written.
 #[derive(Clone, Debug, PartialEq)]
 pub enum AxisScale {
-    /// Values.
     Linear,
     /// Decimal logarithms; the labels show the values.
     Logarithmic,
@@ -81,7 +80,6 @@ pub enum AxisScale {
 pub struct Along {
     /// Label with unit.
     pub words: String,
-    /// Range.
     pub range: Range<f64>,
     /// Approximate number of tick labels; 0 for categories.
     pub labels: usize,
@@ -260,7 +258,6 @@ pub fn letters(role: Role, times: f64) -> TextStyle<'static> {
     ("sans-serif", size).into_font().color(&role.light)
 }
 
-/// Centred text.
 pub fn centred(role: Role, times: f64) -> TextStyle<'static> {
     letters(role, times).pos(Pos::new(HPos::Center, VPos::Center))
 }

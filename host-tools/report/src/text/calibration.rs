@@ -12,7 +12,6 @@ pub fn coverage_percent(coverage: &Coverage) -> [String; 3] {
     })
 }
 
-/// The coverage as JSON.
 pub fn coverage_json(coverage: &Coverage) -> Value {
     let [one, two, three] = coverage.within;
     json!({
@@ -38,7 +37,6 @@ pub fn calibration_sentence(calibration: &NetworkCalibration) -> String {
     )
 }
 
-/// The calibration of the networks as JSON.
 pub fn calibration_json(calibration: &NetworkCalibration) -> Value {
     let factors = calibration.factors.iter();
     let factors = factors.map(|(sensor, [x, z])| json!({ "sensor": sensor, "x": x, "z": z }));

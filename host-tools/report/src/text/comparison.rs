@@ -420,7 +420,6 @@ pub fn dependent_blocks(block_ms: u32) -> String {
     )
 }
 
-/// Why forces are missing.
 pub fn missing_forces(why: &MissingForces) -> String {
     match why {
         MissingForces::NotInvertible(why) => why.to_string(),
@@ -501,7 +500,6 @@ fn side_by_side(one: &Comparison, other: &Comparison) -> String {
     )
 }
 
-/// Result as JSON.
 pub fn to_json(comparison: &Comparison) -> Value {
     let findings = comparison.findings.iter().map(|finding| {
         json!({

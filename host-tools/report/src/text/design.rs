@@ -53,7 +53,6 @@ pub fn describe(design: &SensorDesign) -> String {
     )
 }
 
-/// The shape of a magnet.
 fn describe_magnet(shape: &MagnetShape) -> String {
     let mm = |size: f64| numbers::decimal(size, 3);
     match *shape {

@@ -561,7 +561,6 @@ pub fn suggestion_heading(kind: SuggestionKind) -> &'static str {
     }
 }
 
-/// Result as JSON.
 pub fn to_json(diagnosis: &Diagnosis) -> Value {
     let findings = diagnosis.findings.iter().map(|finding| {
         json!({
@@ -993,7 +992,6 @@ fn residual_follows(unexplained: &Unexplained) -> String {
     format!("{:.0} % of the residual {dependence}", 100.0 * unexplained.share)
 }
 
-/// The reason as a sentence.
 pub fn reason_sentence(verdict: &Verdict) -> String {
     let reason = reason(verdict);
     let mut letters = reason.chars();
@@ -1145,7 +1143,6 @@ pub fn remaining(structure: &RemainingStructure, unit: SignalUnit) -> String {
 pub const EXPR_HINT: &str =
     "No effect of the catalogue explains it. Test a formula of your own with --expr.";
 
-/// Effects added in a step.
 pub fn added_effects(stair: &StaircaseStep) -> String {
     match stair.added.as_slice() {
         [] => "the model as it is".to_owned(),

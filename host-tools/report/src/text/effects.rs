@@ -53,7 +53,6 @@ fn compensation(effect: &Effect) -> String {
     }
 }
 
-/// One effect.
 pub fn describe(effect: &Effect) -> String {
     let mut parameters = terminal::table(["parameter", "unit", "description"]);
     for parameter in effect.parameters {

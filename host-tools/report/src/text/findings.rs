@@ -517,7 +517,6 @@ fn verb(columns: &ColumnSet, one: &'static str, several: &'static str) -> &'stat
     if columns.names.len() == 1 { one } else { several }
 }
 
-/// `one`, or a number with `several`.
 fn counted(count: u64, one: &str, several: &str) -> String {
     if count == 1 { one.to_owned() } else { format!("{count} {several}") }
 }

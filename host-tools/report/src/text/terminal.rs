@@ -13,13 +13,10 @@ pub const WIDTH: u16 = 100;
 /// Line width of running text: the default width of a terminal.
 pub const NARROW_WIDTH: u16 = 80;
 
-/// Style of a good result.
 pub const GOOD: Style = AnsiColor::Green.on_default().bold();
 /// Style of a result to note.
 pub const WARNING: Style = AnsiColor::Yellow.on_default().bold();
-/// Style of an error.
 pub const ERROR: Style = AnsiColor::Red.on_default().bold();
-/// Style of a heading.
 pub const HEADING: Style = Style::new().bold();
 
 /// Sensor columns per table.

@@ -20,7 +20,6 @@ use std::f64::consts::PI;
 
 /// A fault of the fault matrix.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[allow(missing_docs)] // Described by the specification.
 pub enum InjectedFault {
     BusHigh,
     BusLow,

@@ -68,7 +68,6 @@ const GRIPPER: u32 = 0xffff;
 /// One effect in one sensor: its drawn values. Its [kind](Law::kind) has the physics and the equation.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(untagged)]
-#[allow(missing_docs)] // Symbol of the equation and unit.
 pub enum Law {
     CrossTerm {
         b_g: [f64; 3],

@@ -9,7 +9,6 @@ const ENOUGH: f64 = 0.8;
 /// A step that is not covered ends after this multiple of its duration.
 const PATIENCE: f64 = 3.0;
 
-/// Result of a step.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StepResult {
     /// Duration in seconds.

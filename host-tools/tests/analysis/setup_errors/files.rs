@@ -23,7 +23,6 @@ fn checked(folder: &std::path::Path) -> anyhow::Result<Vec<Finding>> {
     scan_files(folder, NO_DELAY, |_| ())
 }
 
-/// The only finding.
 fn only(spoilt: &CampaignCopy) -> Finding {
     single(found(spoilt))
 }

@@ -78,7 +78,6 @@ impl Rate {
     }
 }
 
-/// Rates of a group.
 pub fn rates(group: Group, outcomes: &[Outcome]) -> Vec<Rate> {
     let detectable = outcomes.iter().filter(|o| o.z.is_nan() || o.z >= MIN_EFFECT_SIZE);
     let detectable: Vec<&Outcome> = detectable.collect();

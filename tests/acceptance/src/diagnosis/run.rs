@@ -55,7 +55,6 @@ impl Outcome {
     }
 }
 
-/// Runs a case.
 pub fn run(case: &Case) -> Result<Outcome> {
     let folder = TempDir::new()?;
     let campaign = folder.path().join("campaign");

@@ -27,7 +27,6 @@ pub struct DisturbanceSequence {
     sensors: u32,
     /// All magnets have passed by this time.
     end_s: f64,
-    /// The magnet that is passing.
     pub magnet: Option<PassingMagnet>,
     next_s: f64,
 }

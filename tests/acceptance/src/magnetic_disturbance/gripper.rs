@@ -15,7 +15,6 @@ const EFFECTS: [&str; 3] = ["hysteresis", "cross_coupling", "magnet_temperature"
 /// Length of the recordings that the model is fitted to, in seconds.
 const SECONDS: &str = "100";
 
-/// A gripper.
 pub struct Gripper {
     /// Source of new recordings.
     pub world: SimulatedGripper,

@@ -21,7 +21,6 @@ const LOAD_SHARE: f64 = 0.02;
 /// Maximum number of reported lines of unknown source, strongest first.
 const MOST: usize = 4;
 
-/// One spectral line of one column.
 type ColumnLine<'a> = (Channel<'a>, SpectralLine);
 
 /// Periodic disturbances in fields and forces.

@@ -38,7 +38,6 @@ pub struct Channel<'a> {
     pub recording: usize,
     /// Table of the column.
     pub table: &'a TableScan,
-    /// Scan result of the column.
     pub column: &'a ColumnScan,
 }
 
@@ -102,7 +101,6 @@ impl<'a> CheckContext<'a> {
         }
     }
 
-    /// All findings.
     pub fn into_findings(self) -> Vec<Finding> {
         self.findings
     }
@@ -142,7 +140,6 @@ impl<'a> CheckContext<'a> {
         hit.len() == self.recordings.len()
     }
 
-    /// Recordings with these numbers.
     pub fn recordings_in(&self, hit: impl IntoIterator<Item = usize>) -> RecordingSet {
         let hit: BTreeSet<usize> = hit.into_iter().collect();
         RecordingSet {

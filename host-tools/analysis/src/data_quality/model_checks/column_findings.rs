@@ -14,7 +14,6 @@ use model_export::recordings::columns::force_column_name;
 /// Column errors of a hypothesis for one sensor in one recording.
 #[derive(Default)]
 struct ColumnErrors {
-    /// Column name and its error.
     columns: Vec<(String, ColumnError)>,
     /// Corrections; empty where ambiguous.
     repairs: Vec<Repair>,

@@ -335,7 +335,6 @@ const AS_GOOD: f64 = 4.0;
 pub struct Verdict {
     /// Zero-based number of the recording.
     pub recording: usize,
-    /// Number of the sensor.
     pub sensor: u32,
     /// Best hypothesis.
     pub best: Tried,

@@ -89,7 +89,6 @@ pub struct Case<'a> {
     pub recording: usize,
     /// Columns of its forces.
     pub forces: &'a [(u32, Axis)],
-    /// All its rows.
     pub part: &'a RecordingRows,
     /// Indices of the subsample.
     pub rows: Vec<usize>,

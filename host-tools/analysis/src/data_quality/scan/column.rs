@@ -53,7 +53,6 @@ impl Quantity {
         }
     }
 
-    /// True for a field.
     pub fn is_field(&self) -> bool {
         matches!(self, Self::Field { .. })
     }
@@ -72,7 +71,6 @@ pub struct ColumnScan {
     pub scale: f64,
     /// Saturation limits (lower, upper) in the unit of the values.
     pub limits: (f64, f64),
-    /// Rows with a number.
     pub rows: u64,
     /// Minimum and maximum.
     pub extent: (f64, f64),
@@ -87,7 +85,6 @@ pub struct ColumnScan {
     pub grid: StepGrid,
     /// Runs of equal values.
     pub runs: Runs,
-    /// Subsample of the values.
     pub sample: Subsample,
     /// Outlier statistics; fields only.
     pub spikes: Spikes,

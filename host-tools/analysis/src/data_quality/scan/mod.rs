@@ -20,12 +20,10 @@ use model_export::recordings::csv_table::{
 use model_export::recordings::description::RecordingDescription;
 use std::path::{Path, PathBuf};
 
-/// Scan of one recording.
 #[derive(Clone)]
 pub struct RecordingScan {
     /// Name of the folder.
     pub name: String,
-    /// Path of the folder.
     pub folder: PathBuf,
     /// Whether its rows have no clock: they are settings, not samples of a course of time.
     pub is_table_of_settings: bool,
@@ -82,7 +80,6 @@ fn prepare(column: &mut ColumnScan, description: Option<&RecordingDescription>) 
 /// Statistics of one table of a recording.
 #[derive(Clone)]
 pub struct TableScan {
-    /// Path of the file.
     pub path: PathBuf,
     /// `hall.csv` or `force.csv`.
     pub name: &'static str,
@@ -92,7 +89,6 @@ pub struct TableScan {
     pub columns: Vec<ColumnScan>,
     /// Repeated samples, one for each sensor.
     pub repeats: Vec<Repeats>,
-    /// Rotor speed.
     pub turning: RotorSpeed,
     /// Subsample of the norm of the acceleration, in its own unit.
     pub acceleration: Subsample,
@@ -196,7 +192,6 @@ impl TableScan {
         }
     }
 
-    /// Column by name.
     pub fn column(&self, name: &str) -> Option<&ColumnScan> {
         self.columns.iter().find(|column| column.name == name)
     }
@@ -290,7 +285,6 @@ impl TolerantReader {
 /// Counts rows in which no axis of a sensor changed.
 #[derive(Clone, Debug, Default)]
 pub struct Repeats {
-    /// Number of the sensor.
     pub sensor: u32,
     /// Column indices of its axes.
     pub indices: Vec<usize>,

@@ -22,7 +22,6 @@ const MIN_PERIOD: f64 = 0.8;
 /// A function of one covariate.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Atom {
-    /// Name of the covariate.
     pub covariate: String,
     /// Text, with `p` and `q` for the nonlinear parameters.
     text: String,
@@ -39,7 +38,6 @@ pub struct Atom {
 /// A nonlinear parameter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Nonlinear {
-    /// Value.
     pub value: f64,
     /// Lower bound.
     pub from: f64,
@@ -296,7 +294,6 @@ fn powers(covariate: &str) -> [Atom; 3] {
 /// Higher harmonics are no more complex than this one.
 const HARMONIC_COMPLEXITY: u32 = 10;
 
-/// Harmonics of an angle.
 fn angle_atoms(covariate: &str, harmonics: &[u32], is_factor: bool) -> Vec<Atom> {
     let mut atoms = Vec::new();
     for harmonic in harmonics {

@@ -30,7 +30,6 @@ const NONLINEAR: [&str; 6] = ["p", "q", "r", "s", "t", "u"];
 pub struct Candidate {
     /// Factors of each term.
     pub terms: Vec<Vec<Atom>>,
-    /// Points of the chain.
     pub points: Vec<ChainPoint>,
     /// Nonlinear parameters of each sensor, where they differ; empty where all sensors have the same.
     pub own: Vec<Vec<f64>>,

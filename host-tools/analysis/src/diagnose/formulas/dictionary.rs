@@ -37,7 +37,6 @@ pub struct Dictionary {
 
 /// A candidate of terms of the dictionary.
 pub struct RankedCandidate {
-    /// The candidate.
     pub candidate: Candidate,
     /// Indices of its terms.
     pub terms: Vec<usize>,
@@ -172,7 +171,6 @@ impl Dictionary {
         &self.values
     }
 
-    /// Values of these terms at one sensor.
     pub fn values_of(&self, sensor: usize, terms: &[usize]) -> Vec<Vec<f64>> {
         let row = |term: &usize| self.values[sensor].row(*term).iter().copied().collect();
         terms.iter().map(row).collect()

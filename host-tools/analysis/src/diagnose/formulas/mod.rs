@@ -50,7 +50,6 @@ use harmonics::TURN;
 use rows::{SensorRows, Windows};
 use scan::{Scan, Score, TermScan};
 
-/// Maximum number of formulas.
 const MAX_FORMULAS: usize = 4;
 /// Squared error relative to the noise below which nothing is searched.
 const AT_NOISE: f64 = 1.03;
@@ -85,10 +84,8 @@ const FINALISTS: usize = 4;
 const STEP: f64 = 0.25;
 const FINAL: f64 = 0.8;
 
-/// A discovered formula.
 #[derive(Clone, Debug)]
 pub struct DiscoveredFormula {
-    /// Name.
     pub name: String,
     /// Effects of the model: one for each point of the chain at which it acts.
     pub effects: Vec<EffectTerm>,

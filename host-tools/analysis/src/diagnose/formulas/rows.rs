@@ -57,7 +57,6 @@ pub fn averaged(values: &[f64], windows: &[Range<usize>]) -> Vec<f64> {
 
 /// One sensor of a fitted model. Entries are whitened by the noise of sensor and reference, three for each averaged row.
 pub struct SensorRows {
-    /// Residual.
     pub residual: DVector<f64>,
     /// Derivatives to the fitted parameters, each of unit mean square.
     pub jacobian: DMatrix<f64>,

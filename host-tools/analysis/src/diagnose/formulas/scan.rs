@@ -28,7 +28,6 @@ struct Normals {
 
 /// Rows of all sensors with their normal equations.
 pub struct Scan {
-    /// Rows of each sensor.
     pub rows: Vec<SensorRows>,
     normals: Vec<Normals>,
 }
@@ -50,7 +49,6 @@ impl Score {
 }
 
 impl Scan {
-    /// Of these rows.
     pub fn new(rows: Vec<SensorRows>) -> Self {
         let of_sensor = |rows: &SensorRows| Normals {
             folds: rows
@@ -68,7 +66,6 @@ impl Scan {
         Self { rows, normals }
     }
 
-    /// Number of folds.
     pub fn folds(&self) -> usize {
         self.rows.iter().map(|rows| rows.folds.len()).max().unwrap_or(0)
     }
@@ -346,7 +343,6 @@ impl<'a> TermScan<'a> {
     }
 }
 
-/// Product of each row on the left with that on the right.
 fn row_products(left: &DMatrix<f64>, right: &DMatrix<f64>) -> DVector<f64> {
     let mut sums = DVector::zeros(left.nrows());
     for (left, right) in left.column_iter().zip(right.column_iter()) {

@@ -38,7 +38,6 @@ const CAUSES: [&[(&str, &str)]; 11] = [
 
 /// A formula that explains as much as an accepted effect, with fewer parameters.
 pub struct SimplerFormula {
-    /// The effect.
     pub effect: EffectTerm,
     /// The formula in its place.
     pub formula: DiscoveredFormula,

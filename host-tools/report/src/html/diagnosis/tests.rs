@@ -9,7 +9,6 @@ fn page(diagnosis: &Diagnosis) -> String {
     page_with(&comparison(1, 4, 4.0), &sections(diagnosis))
 }
 
-/// Section of the page.
 fn section<'a>(page: &'a str, id: &str) -> &'a str {
     let (_, rest) = page.split_once(&format!("<section id=\"{id}\">")).unwrap();
     rest.split_once("</section>").unwrap().0
