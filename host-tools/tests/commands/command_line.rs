@@ -286,7 +286,7 @@ fn readme_and_help_list_all_results() {
         assert!(statuses.insert(status) && ![2, 101].contains(&status), "{name}");
     }
     let marks = ["<!-- results -->\n", "<!-- end of results"];
-    assert_generated("host-tools/README.md", marks, &table);
+    assert_generated("host-tools/OPERATION.md", marks, &table);
 }
 
 #[test]
