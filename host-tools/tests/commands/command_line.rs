@@ -273,7 +273,7 @@ fn readme_lists_all_commands() {
 }
 
 #[test]
-fn readme_and_help_list_all_results() {
+fn operation_page_and_help_list_all_results() {
     let help = text(&WorkDir::empty().stdout(&["grasp", "--help"]));
     let help = help.split_whitespace().collect::<Vec<_>>().join(" ");
     let mut table = String::from("| status | code | meaning |\n| --- | --- | --- |\n");
