@@ -11,7 +11,7 @@ use crate::peripherals::flash;
 /// Why a file is no image for this chip.
 #[derive(Debug, thiserror::Error)]
 pub enum ImageError {
-    /// It cannot be read.
+    /// The file is unreadable.
     #[error("{}: {source}", path.display())]
     Read {
         /// The file.

@@ -7,7 +7,7 @@
 //! - [`devices`]: traits of what is connected: sensors, buses, drivetrain. The emulator contains none of them.
 //! - [`image`], [`log`]: the ELF file and its log.
 //! - [`chip`]: all of it running: resets, loss of the supply, load.
-//! - [`violations`]: what no sound program does.
+//! - [`violations`]: accesses that indicate a firmware bug.
 //! - [`registers`]: names, addresses and numbers from `stm32-metapac`, compared with ST's header.
 //!
 //! # Time

@@ -246,7 +246,7 @@ pub struct Soc {
     gate_fault: bool,
     /// The wire from the gate drivers is open.
     is_break_wire_open: bool,
-    /// The trigger of the motor's timer reaches the converter.
+    /// The PWM trigger of the ADC is connected.
     has_motor_trigger: bool,
     /// Cuts of SRAM that were not accessed since the reset: bits of SRAM1, SRAM2, CCM.
     untouched: u8,
@@ -558,8 +558,7 @@ impl Soc {
         self.plan();
     }
 
-    /// The trigger of the motor's timer no longer reaches the converter, or does again: the pulses continue, and no conversion
-    /// begins.
+    /// Disconnects (or reconnects) the PWM trigger of the ADC; PWM keeps running.
     pub fn set_motor_trigger(&mut self, reaches_converter: bool) {
         self.has_motor_trigger = reaches_converter;
     }
@@ -634,9 +633,9 @@ impl Soc {
         self.flash.cut_power(cut);
     }
 
-    /// Turns two bits of a double word in flash, at an offset from its beginning: more than ECC corrects.
-    pub fn spoil_flash(&mut self, offset: usize) {
-        self.flash.spoil(offset);
+    /// Flips two bits of the double word at an offset in flash: an uncorrectable ECC error.
+    pub fn corrupt_flash(&mut self, offset: usize) {
+        self.flash.corrupt(offset);
     }
 
     /// Frames on the CAN bus that the program has not seen since the last reset.
@@ -1594,7 +1593,7 @@ fn bus<'d>(
     }
 }
 
-/// What memory happens to hold when the supply comes.
+/// RAM contents at power-on (pseudo-random).
 fn noise(length: usize, seed: u64) -> Vec<u8> {
     let mut state = seed;
     let next = || {

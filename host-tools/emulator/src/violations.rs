@@ -1,4 +1,4 @@
-//! What no sound program does: collected with the place in the program that did it first, never corrected.
+//! Accesses that indicate a firmware bug: collected with the place in the program of the first one, never corrected.
 //!
 //! A test fails on any of them unless it lists the kind with a reason. On the chip most of these go unnoticed until
 //! something else fails: a register behind a closed clock gate reads zero, a core above the limit of its voltage
@@ -115,7 +115,7 @@ impl Violations {
         self.found.is_empty()
     }
 
-    /// Forgets all.
+    /// Clears the list.
     pub fn clear(&mut self) {
         self.found.clear();
     }

@@ -84,7 +84,7 @@ impl Device {
         interrupt::run(py, move |_| Self::start(&model, network.as_deref()))
     }
 
-    /// Forgets all past rows.
+    /// Clears the state of the estimator.
     fn reset(&self, py: Python<'_>) -> PyResult<()> {
         self.ask(py, Job::Reset).map(drop)
     }

@@ -273,7 +273,7 @@ fn readme_lists_all_commands() {
 }
 
 #[test]
-fn readme_and_help_list_all_results() {
+fn operation_page_and_help_list_all_results() {
     let help = text(&WorkDir::empty().stdout(&["grasp", "--help"]));
     let help = help.split_whitespace().collect::<Vec<_>>().join(" ");
     let mut table = String::from("| status | code | meaning |\n| --- | --- | --- |\n");
@@ -286,7 +286,7 @@ fn readme_and_help_list_all_results() {
         assert!(statuses.insert(status) && ![2, 101].contains(&status), "{name}");
     }
     let marks = ["<!-- results -->\n", "<!-- end of results"];
-    assert_generated("host-tools/README.md", marks, &table);
+    assert_generated("host-tools/OPERATION.md", marks, &table);
 }
 
 #[test]

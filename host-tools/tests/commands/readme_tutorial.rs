@@ -1,11 +1,11 @@
-//! The README's tutorial for another sensor: other magnet, other stiffness, three sensors.
+//! The section of `CALIBRATION.md` on another sensor: other magnet, other stiffness, three sensors.
 
 use crate::workdir::WorkDir;
 
-/// Section of the README with this title.
+/// Section of the page with this title.
 fn section(name: &str) -> &'static str {
-    let readme = include_str!("../../README.md");
-    let (_, from) = readme.split_once(&format!("\n## {name}\n")).unwrap();
+    let page = include_str!("../../CALIBRATION.md");
+    let (_, from) = page.split_once(&format!("\n## {name}\n")).unwrap();
     from.split_once("\n## ").map_or(from, |(section, _)| section)
 }
 
@@ -16,7 +16,7 @@ fn block<'a>(section: &'a str, kind: &str) -> &'a str {
 }
 
 #[test]
-fn readme_commands_make_tables_for_another_sensor() {
+fn commands_of_the_page_make_tables_for_another_sensor() {
     let (dir, section) = (WorkDir::empty(), section("Another sensor"));
     std::fs::write(dir.path("tube.toml"), block(section, "toml")).unwrap();
     let lines = block(section, "console").lines();

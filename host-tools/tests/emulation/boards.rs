@@ -99,7 +99,7 @@ pub fn image(variant: Variant) -> Result<Arc<Made>, Failed> {
 /// Misuse of the chip that is known, with the reason.
 const KNOWN: [(Kind, &str); 0] = [];
 
-/// Whatever no sound program does.
+/// Accesses that indicate a firmware bug.
 pub fn violations(board: &EmulatedBoard) -> Vec<String> {
     let image = board.chip.image();
     let found = board.chip.soc.violations.iter();

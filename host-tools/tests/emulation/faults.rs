@@ -226,7 +226,7 @@ fn unreadable_flash(cell: &mut Cell) {
     let soc = &mut cell.board.chip.soc;
     let before = soc.memory(address, 8).expect("flash").to_vec();
     let offset = (address - 0x0800_0000) as usize;
-    soc.spoil_flash(offset);
+    soc.corrupt_flash(offset);
     cell.until(1.0, |cell| !cell.board.chip.resets.is_empty());
     cell.board.chip.soc.load_flash(offset, &before);
 }

@@ -126,7 +126,7 @@ impl Loss {
             Self::Core => lock_up(cell),
             Self::FlashWord => {
                 let offset = checksum_table(cell);
-                cell.board.chip.soc.spoil_flash(offset);
+                cell.board.chip.soc.corrupt_flash(offset);
             }
             Self::GateDrivers => soc.set_gate_fault(true),
             Self::BreakWire => soc.set_break_wire_open(true),

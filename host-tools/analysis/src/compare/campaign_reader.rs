@@ -166,7 +166,7 @@ impl CampaignReader {
     /// Reads one recording, from the cache where possible.
     ///
     /// # Errors
-    /// It cannot be read.
+    /// The recording is unreadable.
     pub fn read(&self, place: usize) -> Result<Cow<'_, Recording>, DataError> {
         if let Some(campaign) = &self.cache {
             return Ok(Cow::Borrowed(&campaign.recordings[place]));

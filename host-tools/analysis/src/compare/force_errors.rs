@@ -333,7 +333,7 @@ impl CampaignExcitation {
     /// Excitation of the next recording; empty where nothing is corrected.
     ///
     /// # Errors
-    /// It cannot be read.
+    /// The recording is unreadable.
     pub fn next<'a>(
         &mut self,
         place: usize,

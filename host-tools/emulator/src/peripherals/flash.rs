@@ -160,8 +160,8 @@ impl Flash {
         !boot0
     }
 
-    /// Makes a double word unreadable: two of its bits are wrong.
-    pub fn spoil(&mut self, offset: usize) {
+    /// Flips two bits of the double word at an offset: an uncorrectable ECC error.
+    pub fn corrupt(&mut self, offset: usize) {
         let word = offset / WORD * WORD;
         if let Err(place) = self.unreadable.binary_search(&word) {
             self.unreadable.insert(place, word);
@@ -310,7 +310,7 @@ impl Flash {
             }
             Remains::Unreadable => {
                 let half = range.start..range.start + range.len().div_ceil(2 * WORD) * WORD;
-                half.step_by(WORD).for_each(|word| self.spoil(word));
+                half.step_by(WORD).for_each(|word| self.corrupt(word));
             }
         }
         Some(range)

@@ -712,7 +712,7 @@ pub fn magnitude(verdict: &Verdict) -> String {
     match (find(&verdict.effect).ok(), typical) {
         (Some(effect), _) if effect.size.unit != verdict.unit => {
             format!(
-                "{value}, another coefficient than its usual measure ({})",
+                "{value}, a coefficient other than its magnitude ({}), which is not determined",
                 effect.size.description
             )
         }

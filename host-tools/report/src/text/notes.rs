@@ -34,7 +34,7 @@ pub fn text(note: &Note) -> String {
              are not those of the file, which `compare` and `replay` show"
         ),
         Note::OtherGripper { floors } => format!(
-            "the model's prediction is off by a constant on most channels, {floors:.0} times the noise: is it a model of another gripper? A fit to these recordings gives one of this gripper"
+            "the model's prediction is off by a constant on most channels, {floors:.0} times the noise: was this model fitted to another gripper? Run `cargo magpie fit` on these recordings"
         ),
         Note::NotReplayed { sensor } => format!(
             "sensor {sensor} of the model was not replayed: these recordings lack its field or its forces"

@@ -372,12 +372,12 @@ mod tests {
 
     /// `UPDATE_README=1 cargo test -p sim hazards` rewrites the tables.
     #[test]
-    fn readme_shows_the_table() {
+    fn safety_page_shows_the_table() {
         const BEGIN: &str = "<!-- hazards -->\n";
         const END: &str = "<!-- end of hazards -->\n";
-        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../firmware/README.md");
-        let readme = std::fs::read_to_string(path).unwrap();
-        let (before, rest) = readme.split_once(BEGIN).unwrap();
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../firmware/SAFETY.md");
+        let page = std::fs::read_to_string(path).unwrap();
+        let (before, rest) = page.split_once(BEGIN).unwrap();
         let (shown, after) = rest.split_once(END).unwrap();
         let expected = HazardTable::gripper().markdown();
         if std::env::var_os("UPDATE_README").is_some() {

@@ -245,7 +245,7 @@ async fn with_gripper(
     .await
 }
 
-/// Forgets all models: recordings were added to the campaign, or removed.
+/// Clears all models: recordings were added to the campaign, or removed.
 async fn reload(State(server): State<Server>) -> Response {
     respond(move || {
         server.computing.cancel();
