@@ -3,7 +3,6 @@
 
 use crate::parameters;
 use crate::parameters::schema;
-use crate::protocol::layout::Direction;
 use crate::protocol::messages::{Message, ParamRequest, Service};
 use crate::protocol::session::{UNLOADED, op, status};
 
@@ -140,7 +139,7 @@ pub struct Situation {
 }
 
 impl RequestKind {
-    /// Kind of a message of a host; `None` for an unknown operation, and for messages of the gripper.
+    /// Kind of a message of a host; `None` for an unknown operation, and for every other message.
     pub fn of(message: &Message) -> Option<Self> {
         Some(match message {
             Message::EStop(_) => Self::Stop,
@@ -149,7 +148,7 @@ impl RequestKind {
             Message::ParamRequest(request) => Self::of_parameter(request),
             Message::CalibrationChunk(_) => Self::UploadPart,
             Message::KeyPart(_) => Self::WriteKey,
-            other if other.direction() == Direction::In => Self::ReportMotion,
+            Message::HostAttitude(_) | Message::HostAcceleration(_) => Self::ReportMotion,
             _ => return None,
         })
     }

@@ -6,7 +6,6 @@ use anyhow::{Context, Result, bail};
 use model_export::effects::catalogue::{HYSTERESIS, NEIGHBOUR_MAGNET, SCREW_BACKLASH};
 use model_export::effects::{CATALOGUE, SimulatedMagnitude, Simulation, find};
 use model_export::recordings::error::closest_match;
-use rand::seq::SliceRandom;
 use serde::{Deserialize, Serialize};
 use std::str::FromStr;
 use std::sync::LazyLock;
@@ -108,16 +107,21 @@ fn unknown(id: &str) -> anyhow::Error {
 pub const MAX_STRENGTH: f64 = 100.0;
 
 /// Draws `count` different effects near their typical magnitude times `strength`.
+///
+/// Each effect has a stream of its own: another effect in the catalogue changes what a seed draws only where it is drawn.
 pub fn draw_random_effects(seed: u64, count: usize, strength: f64) -> Result<Vec<Effect>> {
-    let mut rng = stream(seed, Purpose::RandomEffects, 0);
-    let mut kinds: Vec<&'static EffectKind> =
-        EFFECT_KINDS.iter().filter(|kind| kind.is_in_catalogue).collect();
+    let drawn = |kind: &'static EffectKind| {
+        let mut rng = stream(seed, Purpose::RandomEffects, kind.magnitude.random_stream);
+        (uniform(&mut rng, 0.0, 1.0), kind, rng)
+    };
+    let mut kinds: Vec<_> =
+        EFFECT_KINDS.iter().filter(|kind| kind.is_in_catalogue).map(drawn).collect();
     if count > kinds.len() {
         bail!("only {} effects can be drawn at random", kinds.len());
     }
-    kinds.shuffle(&mut rng);
+    kinds.sort_by(|(a, ..), (b, ..)| a.total_cmp(b));
     let mut effects = Vec::new();
-    for kind in kinds.into_iter().take(count) {
+    for (_, kind, mut rng) in kinds.into_iter().take(count) {
         let size = kind.typical * strength * uniform(&mut rng, RANDOM_RANGE[0], RANDOM_RANGE[1]);
         let (min, max) = kind.magnitude.range;
         let flexures = match uniform(&mut rng, 0.0, 3.0) {
