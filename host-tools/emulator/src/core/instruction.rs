@@ -243,16 +243,6 @@ pub(super) enum MultiplyAdd {
     FusedNegatedSubtract,
 }
 
-/// Fixed-point format of a conversion.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct FixedFormat {
-    /// 16 bits instead of 32.
-    pub(super) half: bool,
-    pub(super) unsigned: bool,
-    /// Bits behind the binary point.
-    pub(super) fraction_bits: u8,
-}
-
 /// Whether an instruction sets condition flags.
 pub(super) type SetFlags = bool;
 /// Distance of a shift or rotation in bits; 0 to 32.
@@ -451,18 +441,13 @@ pub(super) enum Instruction {
     FloatNegate(FloatRegister, FloatRegister),
     FloatMove(FloatRegister, FloatRegister),
     FloatMoveImmediate(FloatRegister, u32),
-    /// VCMP or, with an exception for a quiet NaN, VCMPE.
-    FloatCompare(FloatRegister, FloatRegister, bool),
-    FloatCompareZero(FloatRegister, bool),
+    /// VCMP or VCMPE.
+    FloatCompare(FloatRegister, FloatRegister),
+    FloatCompareZero(FloatRegister),
     /// VCVT from an integer, which may be unsigned.
     FloatFromInteger(FloatRegister, FloatRegister, bool),
     /// VCVT or VCVTR to an integer: d, m, unsigned, rounded toward zero.
     FloatToInteger(FloatRegister, FloatRegister, bool, bool),
-    FloatFromFixed(FloatRegister, FixedFormat),
-    FloatToFixed(FloatRegister, FixedFormat),
-    /// VCVTB or, with the high halfword, VCVTT.
-    FloatFromHalf(FloatRegister, FloatRegister, bool),
-    FloatToHalf(FloatRegister, FloatRegister, bool),
     /// VLDR: d, n, double word, offset.
     FloatLoad(FloatRegister, Register, bool, i16),
     /// VSTR: d, n, double word, offset.
@@ -476,10 +461,8 @@ pub(super) enum Instruction {
     /// Two consecutive single-precision registers from two core registers.
     FloatPairFromCore(FloatRegister, Register, Register),
     FloatPairToCore(Register, Register, FloatRegister),
-    ReadFloatStatus(Register),
     /// VMRS APSR_nzcv, FPSCR.
     ReadFloatFlags,
-    WriteFloatStatus(Register),
 }
 
 const _: () = assert!(size_of::<Instruction>() == 8);

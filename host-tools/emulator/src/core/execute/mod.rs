@@ -21,9 +21,9 @@ use crate::core::arithmetic::{
     shift_with_carry, sign_extend, subtract,
 };
 use crate::core::bus::Bus;
-use crate::core::float::SIGN;
+use crate::core::float::{self, SIGN};
 use crate::core::instruction::{IndexMode, Instruction, Register};
-use crate::core::state::{FPSCR, Fault, LR, PC, SP, State, Trap};
+use crate::core::state::{Fault, LR, PC, SP, State, Trap};
 use data::field_mask;
 
 impl State {
@@ -427,35 +427,35 @@ impl State {
 
             I::FloatAdd(d, n, m) => {
                 self.check_float(bus)?;
-                self.s[d.index()] = self.float_add(self.s[n.index()], self.s[m.index()]);
+                self.s[d.index()] = float::add(self.s[n.index()], self.s[m.index()]);
             }
             I::FloatSubtract(d, n, m) => {
                 self.check_float(bus)?;
-                self.s[d.index()] = self.float_subtract(self.s[n.index()], self.s[m.index()]);
+                self.s[d.index()] = float::subtract(self.s[n.index()], self.s[m.index()]);
             }
             I::FloatMultiply(d, n, m) => {
                 self.check_float(bus)?;
-                self.s[d.index()] = self.float_multiply(self.s[n.index()], self.s[m.index()]);
+                self.s[d.index()] = float::multiply(self.s[n.index()], self.s[m.index()]);
             }
             I::FloatNegatedMultiply(d, n, m) => {
                 self.check_float(bus)?;
-                let product = self.float_multiply(self.s[n.index()], self.s[m.index()]);
+                let product = float::multiply(self.s[n.index()], self.s[m.index()]);
                 self.s[d.index()] = product ^ SIGN;
             }
             I::FloatDivide(d, n, m) => {
                 self.check_float(bus)?;
-                self.s[d.index()] = self.float_divide(self.s[n.index()], self.s[m.index()]);
+                self.s[d.index()] = float::divide(self.s[n.index()], self.s[m.index()]);
             }
             I::FloatMultiplyAdd(d, n, m) => {
                 self.check_float(bus)?;
-                let product = self.float_multiply(self.s[n.index()], self.s[m.index()]);
-                self.s[d.index()] = self.float_add(self.s[d.index()], product);
+                let product = float::multiply(self.s[n.index()], self.s[m.index()]);
+                self.s[d.index()] = float::add(self.s[d.index()], product);
             }
             I::FloatMultiplySubtract(d, n, m) => {
                 self.check_float(bus)?;
-                let product = self.float_multiply(self.s[n.index()], self.s[m.index()]);
+                let product = float::multiply(self.s[n.index()], self.s[m.index()]);
                 let negated = product ^ SIGN;
-                self.s[d.index()] = self.float_add(self.s[d.index()], negated);
+                self.s[d.index()] = float::add(self.s[d.index()], negated);
             }
             I::FloatMultiplyAddOther(operation, d, n, m) => {
                 self.check_float(bus)?;
@@ -463,7 +463,7 @@ impl State {
             }
             I::FloatSquareRoot(d, m) => {
                 self.check_float(bus)?;
-                self.s[d.index()] = self.float_square_root(self.s[m.index()]);
+                self.s[d.index()] = float::square_root(self.s[m.index()]);
             }
             I::FloatAbsolute(d, m) => {
                 self.check_float(bus)?;
@@ -481,39 +481,22 @@ impl State {
                 self.check_float(bus)?;
                 self.s[d.index()] = value;
             }
-            I::FloatCompare(d, m, signal_quiet) => {
+            I::FloatCompare(d, m) => {
                 self.check_float(bus)?;
-                self.float_compare(self.s[d.index()], self.s[m.index()], signal_quiet);
+                self.float_compare(self.s[d.index()], self.s[m.index()]);
             }
-            I::FloatCompareZero(d, signal_quiet) => {
+            I::FloatCompareZero(d) => {
                 self.check_float(bus)?;
-                self.float_compare(self.s[d.index()], 0, signal_quiet);
+                self.float_compare(self.s[d.index()], 0);
             }
             I::FloatFromInteger(d, m, unsigned) => {
                 self.check_float(bus)?;
-                self.s[d.index()] = self.float_from_integer(self.s[m.index()], unsigned);
+                self.s[d.index()] = float::from_integer(self.s[m.index()], unsigned);
             }
             I::FloatToInteger(d, m, unsigned, toward_zero) => {
                 self.check_float(bus)?;
                 let operand = self.s[m.index()];
-                self.s[d.index()] = self.float_to_integer(operand, unsigned, toward_zero);
-            }
-            I::FloatFromFixed(d, format) => {
-                self.check_float(bus)?;
-                self.s[d.index()] = self.float_from_fixed(self.s[d.index()], format);
-            }
-            I::FloatToFixed(d, format) => {
-                self.check_float(bus)?;
-                self.s[d.index()] = self.float_to_fixed(self.s[d.index()], format);
-            }
-            I::FloatFromHalf(d, m, top) => {
-                self.check_float(bus)?;
-                self.s[d.index()] = self.float_from_half(self.s[m.index()], top);
-            }
-            I::FloatToHalf(d, m, top) => {
-                self.check_float(bus)?;
-                let operand = self.s[m.index()];
-                self.s[d.index()] = self.float_to_half(self.s[d.index()], operand, top);
+                self.s[d.index()] = float::to_integer(operand, unsigned, toward_zero);
             }
             I::FloatLoad(d, n, double, offset) => {
                 self.check_float(bus)?;
@@ -551,17 +534,9 @@ impl State {
                 self.write(t, self.s[s.index()]);
                 self.write(t2, self.s[(s.index() + 1) & 31]);
             }
-            I::ReadFloatStatus(t) => {
-                self.check_float(bus)?;
-                self.write(t, self.fpscr);
-            }
             I::ReadFloatFlags => {
                 self.check_float(bus)?;
                 self.set_nzcv(self.fpscr & NZCV);
-            }
-            I::WriteFloatStatus(t) => {
-                self.check_float(bus)?;
-                self.fpscr = self.read(t) & FPSCR;
             }
         }
         Ok(next)

@@ -58,7 +58,6 @@ const DEMCR: u32 = 0xE000_EDFC;
 // Floating-point extension.
 const FPCCR: u32 = 0xE000_EF34;
 const FPCAR: u32 = 0xE000_EF38;
-const FPDSCR: u32 = 0xE000_EF3C;
 const MVFR0: u32 = 0xE000_EF40;
 const MVFR1: u32 = 0xE000_EF44;
 
@@ -135,8 +134,6 @@ const FPCCR_BITS: u32 = AUTOMATIC_STATE
     | THREAD_CONTEXT
     | USER_CONTEXT
     | LAZY_ACTIVE;
-/// Modes of the FPSCR that a new context takes from the FPDSCR: AHP, DN, FZ, rounding mode.
-pub(super) const DEFAULT_STATUS: u32 = 0x07C0_0000;
 
 /// Access of the coprocessors 10 and 11.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -183,7 +180,6 @@ pub struct SystemControl {
     actlr: u32,
     pub(super) fpccr: u32,
     pub(super) fpcar: u32,
-    fpdscr: u32,
 
     demcr: u32,
     dwt_ctrl: u32,
@@ -230,7 +226,6 @@ impl SystemControl {
             actlr: 0,
             fpccr: AUTOMATIC_STATE | LAZY_STATE,
             fpcar: 0,
-            fpdscr: 0,
             demcr: 0,
             dwt_ctrl: 0,
             pended: [0; EXCEPTIONS],
@@ -283,7 +278,6 @@ impl SystemControl {
             DEMCR => self.demcr,
             FPCCR => self.fpccr,
             FPCAR => self.fpcar,
-            FPDSCR => self.fpdscr,
             MVFR0 => MVFR0_VALUE,
             MVFR1 => MVFR1_VALUE,
             _ => return None,
@@ -363,7 +357,6 @@ impl SystemControl {
             CPACR => self.cpacr = value & 0x00F0_0000,
             FPCCR => self.fpccr = value & FPCCR_BITS,
             FPCAR => self.fpcar = value & !7,
-            FPDSCR => self.fpdscr = value & DEFAULT_STATUS,
             _ => return false,
         }
         true
@@ -571,10 +564,6 @@ impl SystemControl {
             0b0101 => FloatAccess::Privileged,
             _ => FloatAccess::Denied,
         }
-    }
-
-    pub(super) fn default_float_status(&self) -> u32 {
-        self.fpdscr
     }
 }
 
