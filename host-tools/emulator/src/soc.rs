@@ -173,18 +173,6 @@ pub struct Options {
     pub seed: u64,
 }
 
-impl Default for Options {
-    fn default() -> Self {
-        Self {
-            wiring: Wiring::NUCLEO_G474,
-            i2c_delay: Time::from_ns(625),
-            amplifier_settling: Time::from_us(1),
-            lsi: Frequency(32_000),
-            seed: 1,
-        }
-    }
-}
-
 /// Frames on the CAN bus that a program has not seen.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct UnseenFrames {

@@ -11,7 +11,7 @@ use firmware::protocol::session::{op, status};
 use firmware::system::faults::{Event, Fault};
 use libtest_mimic::{Failed, Trial};
 use sim::board::SimulatedBoard;
-use sim::closed_loop::emulated_board::{ChipConditions, EmulatedBoard};
+use sim::closed_loop::emulated_board::{self, ChipConditions, EmulatedBoard};
 use sim::drivetrain::PERIOD_S;
 use sim::drivetrain::sensors::ROOM_C;
 
@@ -136,7 +136,7 @@ fn spurious_bus_errors() -> Result<(), Failed> {
 /// The chip runs from its own oscillator, and says so.
 fn dead_crystal() -> Result<(), Failed> {
     let made = image(Variant::Default)?;
-    let wiring = Wiring { crystal: Frequency(0), ..Wiring::NUCLEO_G474 };
+    let wiring = Wiring { crystal: Frequency(0), ..emulated_board::wiring() };
     let world = pressed(&made.built);
     let conditions = ChipConditions::TYPICAL;
     let mut board =

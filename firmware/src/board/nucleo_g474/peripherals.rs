@@ -22,7 +22,7 @@ use crate::board::selected::i2c::I2cBus;
 use crate::board::selected::imu::{self, InertialSensor};
 use crate::board::selected::random::RandomNumbers;
 use crate::board::selected::thermometer::{self, BoardThermometer};
-use crate::board::selected::{NucleoG474, crash, drive, pwm, sync};
+use crate::board::selected::{NucleoG474, crash, drive, pwm, sync, table};
 use crate::board::{Bsp, Peripherals};
 use crate::model::kernel;
 use crate::protocol::serial::BAUD_RATE;
@@ -30,8 +30,10 @@ use crate::system::crash::CrashKind;
 
 /// Clock of the I2C peripherals: that of the system. HSI16 would be below the 17 MHz of Fast-mode Plus.
 const I2C_HZ: u32 = 160_000_000;
-/// Edges of the sensor buses in nanoseconds, assumed: 1 kOhm, 100 pF.
-const EDGES: EdgeTimes = EdgeTimes { rise: 85, fall: 20 };
+const EDGES: EdgeTimes = {
+    let [rise, fall] = table::EDGES_NS;
+    EdgeTimes { rise, fall }
+};
 /// TIMINGR of the sensor buses.
 const TIMING: u32 = match i2c_timing(I2C_HZ, I2cMode::FastPlus, EDGES) {
     Some(timing) => timing.word(),
@@ -226,7 +228,7 @@ fn half_speed(has_crystal: bool) -> rcc::Config {
     let mut config = rcc::Config::default();
     config.hsi = true;
     config.hsi48 = Some(rcc::Hsi48Config::default());
-    let crystal = rcc::Hse { freq: Hertz(24_000_000), mode: rcc::HseMode::Oscillator };
+    let crystal = rcc::Hse { freq: Hertz(table::CRYSTAL_HZ), mode: rcc::HseMode::Oscillator };
     config.hse = has_crystal.then_some(crystal);
     let (source, prediv) = if has_crystal {
         (rcc::PllSource::HSE, rcc::PllPreDiv::DIV6)
