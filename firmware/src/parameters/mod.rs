@@ -7,14 +7,14 @@
 pub mod schema;
 
 use crate::config::constants::TICK_US;
-use crate::config::limits::GripLimits;
+use crate::config::limits::{DetectionLimits, GripLimits};
 use crate::estimator::tare::{MAX_OFFSET, Tare};
 use crate::fixed_point::Force;
 use crate::math::lesser;
 use crate::motor;
 use crate::motor::calibration::CalibrationOutcome;
 use crate::motor::settings::{MotorLimits, MotorWiring, Settings};
-use crate::parameters::schema::{COUNT, PARAMETERS, Parameter, RULES, id, index_of};
+use crate::parameters::schema::{COUNT, PARAMETERS, Parameter, RULES, detector, id, index_of};
 use crate::protocol::messages::{ParamReply, ParamRequest};
 use crate::sensors::hall::{GripperHallSensor, HallSensor, SENSORS};
 
@@ -89,6 +89,7 @@ impl Parameters {
     }
 
     /// The value of the parameter with this identifier.
+    #[inline(never)] // As of [`Self::set`].
     pub fn get(&self, id: u16) -> Option<i32> {
         self.all().find_map(|(each, value)| (each == id).then_some(value))
     }
@@ -103,6 +104,7 @@ impl Parameters {
     ///
     /// # Errors
     /// [`status::UNKNOWN`] or [`status::OUT_OF_RANGE`].
+    #[inline(never)] // Short where it is called.
     pub fn set(&mut self, id: u16, value: i32) -> Result<(), u8> {
         let mut rows = RULES.iter().zip(&mut self.values);
         let (rule, current) = rows.find(|(rule, _)| rule.id == id).ok_or(status::UNKNOWN)?;
@@ -165,11 +167,31 @@ impl Parameters {
         let limits =
             if self.is_on_bench() { MotorLimits::bench(&settings.screw) } else { settings.limits };
         settings.limits = limits.for_torque_constant(self.torque_nm_a());
+        if !self.detects(detector::STUCK) {
+            settings.limits.stuck_periods = u16::MAX;
+        }
         settings.wiring = MotorWiring {
             offset: (self.value::<{ id::ROTOR_OFFSET }>() as u32) << OFFSET_SHIFT,
             is_swapped: self.value::<{ id::SWAPPED }>() == 1,
         };
         settings
+    }
+
+    /// Whether a detector of [`detector`] is on.
+    pub fn detects(&self, detector: i32) -> bool {
+        self.value::<{ id::DETECTORS }>() & detector != 0
+    }
+
+    /// Thresholds of sensing.
+    pub fn detection_limits(&self) -> DetectionLimits {
+        let mut limits = DetectionLimits::GRIPPER;
+        if !self.detects(detector::FROZEN) {
+            limits.frozen_axes = u8::MAX;
+        }
+        if !self.detects(detector::CONFIGURATION) {
+            limits.config_mismatches = u8::MAX;
+        }
+        limits
     }
 
     /// Thresholds of the grip: currents have the torque that they have with the assumed motor, as far as the motor's limit allows.

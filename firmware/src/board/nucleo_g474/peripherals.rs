@@ -180,9 +180,10 @@ pub(super) const fn bus_frequency(hertz: u32) -> Hertz {
     Hertz(hertz / 2)
 }
 
-/// Connects lock-up of the core, parity error of SRAM, supply below 2.8 V and a flash word with two wrong bits to the break of
-/// the motor timer, which switches the outputs off without software. The connections stay until a reset. Parity is not checked
-/// by a chip as shipped (option SRAM_PE = 1), and must not be: memory that survives a reset is read before it is written.
+/// Connects lock-up of the core, parity error of SRAM and a flash word with two wrong bits to the break of the motor timer, which
+/// switches the outputs off without software, and watches the supply ([`break_on_low_supply`]). The connections stay until a
+/// reset. Parity is not checked by a chip as shipped (option SRAM_PE = 1), and must not be: memory that survives a reset is read
+/// before it is written.
 fn break_on_chip_faults() {
     const LEVEL_2_8_V: u8 = 5;
     pac::PWR.cr2().modify(|w| {
@@ -192,9 +193,13 @@ fn break_on_chip_faults() {
     pac::SYSCFG.cfgr2().modify(|w| {
         w.set_cll(true);
         w.set_spl(true);
-        w.set_pvdl(true);
         w.set_eccl(true);
     });
+}
+
+/// Connects a supply below 2.8 V to the break as well. To be confirmed on a board: a weak regulator must not dip so far.
+pub fn break_on_low_supply() {
+    pac::SYSCFG.cfgr2().modify(|w| w.set_pvdl(true));
 }
 
 /// A halt by a debugger stops the motor timer, which then drives all six pins low (RM0440 28.3.32): else its last duties would stay on

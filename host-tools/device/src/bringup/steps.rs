@@ -39,7 +39,7 @@ pub const STEPS: [Step; 12] = [
     Step {
         name: "sensors",
         connect: "The four Hall sensors and the thermistors; look at the rise times of both I2C buses (at most 120 ns).",
-        expect: "answers at the two stated addresses of each bus, and no other between 0x60 and 0x6F; noise of {}; {} equal readings in a row; motor {}; a pressed finger moves its own two sensors at least three times as much as the others",
+        expect: "answers at the two stated addresses of each bus, and no other between 0x60 and 0x6F; a constant configuration of each sensor; noise of {}; {} equal readings in a row; motor {}; a pressed finger moves its own two sensors at least three times as much as the others",
         ranges: &[table::NOISE, table::EQUAL_READINGS, table::MOTOR_C],
         otherwise: "Check address straps, pull-ups and the plugs of the fingers (sensors 0 and 1: finger 1), and the thermistors' wires",
         run: sensors,
@@ -95,7 +95,7 @@ pub const STEPS: [Step; 12] = [
     Step {
         name: "homing",
         connect: "As before; the current is that of the bench, at most 2 A.",
-        expect: "homed in 40 s, an opening within 1 mm of the stroke, without a fault",
+        expect: "homed in 40 s, an opening within 1 mm of the stroke, without a fault, and without a dip of the 3.3 V rail below 2.8 V",
         ranges: &[],
         otherwise: "Check the stroke, the forces' signs (`cargo magpie monitor`) and the calibration",
         run: homing,
@@ -179,6 +179,19 @@ fn sensors(doing: &mut BringUp<'_>) -> Result<()> {
         let name = format!("equal readings of sensor {sensor} in a row");
         doing.check(&name, longest_run(&fields), table::EQUAL_READINGS.limits)?;
     }
+    let repeated = doing.gripper.read(counter::REPEATED_READINGS)?;
+    doing.check(
+        "equal readings of a sensor in a row since boot",
+        f64::from(repeated + 1),
+        table::EQUAL_READINGS.limits,
+    )?;
+    let configurations = doing.gripper.read(counter::CONFIGURATIONS)?;
+    doing.check(
+        "sensors with a constant configuration, one bit each",
+        f64::from(configurations & 0xFFFF),
+        [f64::from((1_u32 << SENSORS) - 1); 2],
+    )?;
+    doing.check("changes of it", f64::from(configurations >> 16), [0.0; 2])?;
     let (_, _, motor_c) = power(&still)?;
     doing.check("motor in °C", motor_c, table::MOTOR_C.limits)?;
     for finger in 0..2 {
@@ -218,9 +231,9 @@ fn rotor_sensor(doing: &mut BringUp<'_>) -> Result<()> {
     let turned = f64::from(after.wrapping_sub(before) as i16) * 360.0 / 65_536.0;
     doing.note("sign of the angle while the fingers close", turned.signum());
     doing.check("turned by degrees", turned.abs(), [30.0, 150.0])?;
-    let watched = doing.gripper.observe(doing.expected.watch)?;
-    let turns: Vec<_> = watched.ticks.iter().filter_map(angle).collect();
-    doing.check("equal angles in a row", longest_run(&turns), table::EQUAL_ANGLES.limits)
+    doing.gripper.observe(doing.expected.watch)?;
+    let repeated = doing.gripper.read(counter::REPEATED_ANGLES)?;
+    doing.check("equal angles in a row", f64::from(repeated + 1), table::EQUAL_ANGLES.limits)
 }
 
 fn gates(doing: &mut BringUp<'_>) -> Result<()> {
@@ -320,6 +333,8 @@ fn homing(doing: &mut BringUp<'_>) -> Result<()> {
     let opening_mm =
         observed.state.grip.map_or(f64::NAN, |grip| 0.01 * f64::from(grip.value.position));
     faultless(doing, &observed)?;
+    let low = doing.gripper.read(counter::LOW_SUPPLY)?;
+    doing.check("low 3.3 V, how often", low.into(), [0.0; 2])?;
     let stroke = constants::STROKE.value;
     doing.check("opening after homing in mm", opening_mm, [stroke - 1.0, stroke + 1.0])
 }
