@@ -330,9 +330,14 @@ pub const fn handle_counter_request(count: u32, request: &ParamRequest) -> Param
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::motor::diagnostics::SensorMonitor;
+    use crate::motor::power_stage::MotorSamples;
     use crate::parameters::schema::ValueRange;
     use crate::protocol::ESTOP_ALL_ID;
     use crate::protocol::frame_id;
+    use crate::sensors::hall::config_readback::{ConfigReadback, ReadbackResult};
+    use crate::sensors::hall::liveness::LivenessMonitor;
+    use crate::sensors::hall::{HallReading, HallSample};
     use std::vec::Vec;
 
     fn request(parameters: &mut Parameters, op: u8, id: u16, value: i32) -> (u8, i32) {
@@ -340,6 +345,34 @@ mod tests {
         let reply = handle_request(parameters, &message);
         assert_eq!((reply.op, reply.id), (op, id));
         (reply.status, reply.value as i32)
+    }
+
+    /// However long a reading, an angle stays the same, or a configuration word differs.
+    #[test]
+    fn detectors_that_are_switched_off_never_react() {
+        for (detectors, reacts) in [(detector::ALL, true), (0, false)] {
+            let mut parameters = Parameters::DEFAULT;
+            assert_eq!(parameters.set(id::DETECTORS, detectors), Ok(()));
+            let limits = parameters.detection_limits();
+            let mut monitor = LivenessMonitor::new(&limits);
+            let reading = Some(HallSample::New(HallReading::default()));
+            let is_frozen = (0..300).any(|_| monitor.update(reading).reading.is_none());
+            let mut readback = ConfigReadback::new(&limits);
+            let mut word = 0_u8;
+            let is_changed = (0..2000).any(|read| {
+                word = u8::from(read > 100);
+                readback.update(Some([word; 2])) == ReadbackResult::Changed
+            });
+            let is_lost = readback.without_changed([reading; SENSORS]).contains(&None);
+            assert_eq!(readback.summary() & 0xFFFF, 0xF);
+            assert!(readback.summary() >> 16 > 0);
+            let motor = parameters.settings().limits;
+            let mut sensors = SensorMonitor::default();
+            let samples = MotorSamples { phases: [2048; 3], bus: 1600, angle: Ok(7) };
+            let is_stuck = (0..70_000).any(|_| sensors.update(&samples, [0.0; 3], &motor).is_err());
+            assert_eq!([is_frozen, is_changed, is_stuck], [reacts; 3]);
+            assert!(reacts || !is_lost);
+        }
     }
 
     #[test]

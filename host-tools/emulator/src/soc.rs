@@ -622,6 +622,20 @@ impl Soc {
         self.flash.cut_power(cut);
     }
 
+    /// Sets error flags of the flash controller (FLASH_SR).
+    pub fn set_flash_errors(&mut self, errors: u32) {
+        self.flash.set_errors(errors);
+        self.refresh(Block::Flash);
+    }
+
+    /// Lets stops on a sensor bus come late, until a reset of its peripheral.
+    pub fn delay_stops(&mut self, bus: usize, delay: Time) {
+        let number = self.buses.iter().position(|connected| *connected == Some(bus));
+        if let Some(number) = number {
+            self.i2c[number].delay_stops(delay);
+        }
+    }
+
     /// Turns two bits of a double word in flash, at an offset from its beginning: more than ECC corrects.
     pub fn spoil_flash(&mut self, offset: usize) {
         self.flash.spoil(offset);
