@@ -52,6 +52,7 @@ fn peer_that_acknowledges_nothing_for_a_minute_is_served_at_once() {
         assert!((cell.force_n() - SET_N).abs() < 3.0, "{lead:?}: {}", cell.force_n());
         cell.board.connections.can.borrow_mut().no_acknowledge = false;
         cell.host.is_silent = false;
+        cell.host.arm();
         let returned_us = cell.time_us();
         let heard_s = cell.until(0.2, |cell| {
             cell.host.received.heartbeat.as_ref().is_some_and(|(at_us, _)| *at_us > returned_us)

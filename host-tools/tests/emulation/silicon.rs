@@ -274,6 +274,9 @@ fn low_supply() -> Result<(), Failed> {
     cell.board.store(&parameters);
     cell.board.chip.power_cycle()?;
     assert!(cell.enable(), "{}", cell.state());
+    cell.host.order(Command { mode: mode::HOME, ..Command::default() });
+    cell.run(0.2);
+    assert!(cell.board.chip.soc.motor_duties().is_some());
     cell.board.chip.soc.set_supply(2700);
     cell.run(0.3);
     cell.board.chip.soc.set_supply(3300);
