@@ -24,6 +24,7 @@
 //! - Bit-band aliases, which the [`Bus`] may provide, the debugger, and BKPT as a fault: it stops the core
 //!   with [`Stop::Breakpoint`].
 //! - Modes and cumulative exceptions of floating point, half precision and fixed point: the FPSCR has flags only.
+//! - SEL and the flags GE of parallel arithmetic, its exchanging and halving forms, SSAT16, USAT16, USAD8: no image uses them.
 //! - Instructions of these, and those whose behaviour the architecture leaves unpredictable: they stop the core with
 //!   [`Stop::Unsupported`].
 

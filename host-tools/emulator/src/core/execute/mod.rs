@@ -205,13 +205,12 @@ impl State {
             I::Dsp(operation, d, n, m, a) => {
                 self.dsp_multiply(operation, d, self.read(n), self.read(m), a);
             }
-            I::Parallel(operation, format, d, n, m) => {
-                self.parallel(operation, format, d, self.read(n), self.read(m));
+            I::Parallel(operation, d, n, m) => {
+                self.parallel(operation, d, self.read(n), self.read(m));
             }
             I::SaturatingAdd(d, n, m, subtract, double) => {
                 self.saturating_add(d, self.read(n), self.read(m), subtract, double);
             }
-            I::SelectBytes(d, n, m) => self.select_bytes(d, self.read(n), self.read(m)),
             I::PackHalfwords(d, n, m, top, shift, amount) => {
                 let operand = shift_with_carry(self.read(m), shift, amount as u32, self.carry()).0;
                 self.pack_halfwords(d, self.read(n), operand, top);
@@ -223,9 +222,6 @@ impl State {
             I::SaturateUnsigned(d, n, bits, shift, amount) => {
                 let operand = shift_with_carry(self.read(n), shift, amount as u32, self.carry()).0;
                 self.saturate_unsigned(d, operand, bits as u32);
-            }
-            I::SaturateHalves(d, n, bits, unsigned) => {
-                self.saturate_halves(d, self.read(n), bits as u32, unsigned);
             }
 
             I::Branch(offset) => return self.branch_by(bus, offset),
