@@ -667,11 +667,6 @@ impl Soc {
         number.is_some()
     }
 
-    /// A pin's port and level, for tests.
-    pub fn pin_level(&self, pin: Pin) -> bool {
-        self.gpio[pin.port].level(pin.number)
-    }
-
     /// Bytes of memory at an address, as a debugger reads them. None outside of SRAM, CCM and flash.
     pub fn memory(&self, address: u32, length: usize) -> Option<&[u8]> {
         let within = |start: u32, bytes: &[u8]| {

@@ -215,11 +215,6 @@ impl Flash {
         (core.0.saturating_sub(1) / step).min(8)
     }
 
-    /// Whether both caches of the accelerator are on.
-    pub fn is_accelerated(&self) -> bool {
-        self.acr >> 9 & 3 == 3
-    }
-
     /// A store of the program into the memory.
     pub(crate) fn store(&mut self, offset: usize, value: u32, bytes: u32, context: &mut Context) {
         let address = BASE.wrapping_sub(context.base) + offset as u32;

@@ -55,16 +55,6 @@ impl Requirement {
         let [min, max] = self.specified;
         (min..=max).contains(&self.reached)
     }
-
-    fn specification(&self) -> String {
-        let [min, max] = self.specified;
-        match self.specified.map(f64::is_finite) {
-            [true, true] if min > 0.0 => format!("{min:.2} to {max:.2}"),
-            [true, false] => format!("min. {min:.2}"),
-            [false, false] => "-".to_owned(),
-            _ => format!("max. {max:.2}"),
-        }
-    }
 }
 
 /// Figures of a screw, the worst over one nominal gripper and one scattered gripper per seed.
@@ -169,24 +159,6 @@ fn case_figures(case: &DriveCase) -> [f64; 8] {
     let slow = run_at_speed(case, 70.0, SLOW_STEP_MM_S, 0.2);
     let [over_full, over_slow] = [&full, &slow].map(|run| 100.0 * run.overshoot());
     [bandwidth, overshoot, beyond, off, bus, full.braking_mm, over_full, over_slow]
-}
-
-/// Text table of both screws over `seeds` scattered grippers.
-pub fn table_text(seeds: u64) -> String {
-    let [a, b] = Lead::BOTH.map(|lead| evaluate(lead, 1..=seeds));
-    let line = |cells: [&str; 5]| {
-        let [name, unit, specified, a, b] = cells;
-        format!("{name:<44} {unit:<5} {specified:>16} {a:>18} {b:>18}\n")
-    };
-    let mut text = line(["figure", "unit", "specified", "screw A", "screw B"]);
-    for (a, b) in a.iter().zip(&b) {
-        let [screw_a, screw_b] = [a, b].map(|figure| {
-            let missed = if figure.is_met() { "" } else { " (missed)" };
-            format!("{:.3}{missed}", figure.reached)
-        });
-        text += &line([a.name, a.unit, &a.specification(), &screw_a, &screw_b]);
-    }
-    text
 }
 
 /// Stiffness of the hardest contact in N/mm.

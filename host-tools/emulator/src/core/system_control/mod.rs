@@ -96,7 +96,6 @@ const CCR_STACK_ALIGNMENT: u32 = 1 << 9;
 
 const SCR_BITS: u32 = 0x16;
 const SCR_SLEEP_ON_EXIT: u32 = 1 << 1;
-const SCR_SLEEP_DEEP: u32 = 1 << 2;
 const SCR_EVENT_ON_PENDING: u32 = 1 << 4;
 
 const AIRCR_KEY: u32 = 0x05FA;
@@ -479,11 +478,6 @@ impl SystemControl {
     /// Address of the last precise bus fault.
     pub fn bfar(&self) -> u32 {
         self.bfar
-    }
-
-    /// Whether a sleep is a deep sleep (SCR.SLEEPDEEP).
-    pub fn sleep_deep(&self) -> bool {
-        self.scr & SCR_SLEEP_DEEP != 0
     }
 
     /// Cycle counter of the DWT, which pauses while the core sleeps, at the last access of the core to the system control space, or at the
