@@ -140,8 +140,6 @@ impl DisturbanceDetector {
     /// Evaluates one frame: `ideal` are the estimates before the networks, `estimates` those after them, which are
     /// marked as disturbed while the flag is set. Returns the flag.
     #[inline(never)]
-    #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.estimate"))]
-    #[allow(unsafe_code)] // As of `estimate`.
     pub fn update(
         &mut self,
         ideal: &[Estimate; SENSORS],

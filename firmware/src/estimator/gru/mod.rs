@@ -47,8 +47,6 @@ impl<const INPUTS: usize, const HIDDEN: usize, const HEADS: usize>
     /// One step; `value` reads an input in the unit of its source. Returns `None` during the warm-up. A missing
     /// input resets the network, because it breaks the time series.
     #[inline(never)] // Called in two places, for networks of two sizes.
-    #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.estimate"))]
-    #[allow(unsafe_code)] // As of `estimate`.
     pub fn step(
         &mut self,
         network: &Network<INPUTS, HIDDEN, HEADS>,
