@@ -219,8 +219,8 @@ fn single_bank() -> Result<(), Failed> {
     Ok(())
 }
 
-/// A sensor or its lines hold the stop of every transfer back, up to the time of a whole one: readings may be missing, but none is
-/// another one's, and all return at once.
+/// A sensor or its lines hold the stop of every transfer back, up to the time of a whole one, and at last by a millisecond: then
+/// readings are missing, but none is another one's, and all return.
 fn late_stops() -> Result<(), Failed> {
     const TOLERANCE: i16 = 30;
     let made = image(Variant::Default)?;
@@ -240,12 +240,12 @@ fn late_stops() -> Result<(), Failed> {
     let first = fields(&mut board, 500_000)?;
     let reference = *first.last().ok_or("no tick")?;
     let (mut read, mut lost) = (0, 0);
-    for step in 1..=10 {
-        let begin_us = 500_000 + 50_000 * step;
-        board.chip.soc.delay_stops((step % 2) as usize, Time::from_us(20 * step));
+    for (step, late_us) in (1..).zip((20..=200).step_by(20).chain([1000])) {
+        let begin_us = 500_000 + 150_000 * step;
+        board.chip.soc.delay_stops((step % 2) as usize, Time::from_us(late_us));
         let late = fields(&mut board, begin_us + 30_000)?;
         board.chip.soc.delay_stops((step % 2) as usize, Time::ZERO);
-        let after = fields(&mut board, begin_us + 50_000)?;
+        let after = fields(&mut board, begin_us + 150_000)?;
         for (found, expected) in
             late.iter().chain(&after).flat_map(|tick| tick.iter().zip(&reference))
         {
@@ -253,12 +253,13 @@ fn late_stops() -> Result<(), Failed> {
             (read, lost) = (read + u32::from(!is_missing), lost + u32::from(is_missing));
             let is_near =
                 found.iter().zip(expected).all(|(a, b)| a.abs_diff(*b) < TOLERANCE as u16);
-            assert!(is_missing || is_near, "{} us: {found:?} instead of {expected:?}", 20 * step);
+            assert!(is_missing || is_near, "{} us: {found:?} instead of {expected:?}", late_us);
         }
         let last = after.last().ok_or("no tick")?;
-        assert!(last.iter().all(|field| *field != [0; 3]), "{} us: {last:?}", 20 * step);
+        assert!(last.iter().all(|field| *field != [0; 3]), "{} us: {last:?}", late_us);
     }
     println!("{read} readings, {lost} missing");
+    assert!(lost > 0, "a stop that comes a millisecond late is not noticed");
     assert_eq!(board.chip.resets, []);
     assert_eq!(violations(&board), [""; 0]);
     Ok(())
