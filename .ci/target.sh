@@ -3,6 +3,7 @@
 # the sources of `core`.
 target=thumbv7em-none-eabihf
 unset RUSTFLAGS
+root=$PWD
 
 for_target() {
     if [ "${COMPILER:-}" != debian ] && [ -d "$(rustc --print target-libdir --target $target)" ]; then
@@ -21,6 +22,6 @@ for_target() {
     linker="$(rustc --print sysroot)/lib/rustlib/$host/bin/rust-lld"
     [ -x "$linker" ] || linker=$(command -v ld.lld)
     RUSTC=$compiler RUSTC_BOOTSTRAP=1 CARGO_TARGET_THUMBV7EM_NONE_EABIHF_LINKER=$linker \
-        cargo "$@" --locked -Zbuild-std=core --target-dir target/debian
+        cargo "$@" --locked -Zbuild-std=core --target-dir "$root/target/debian"
     folder=target/debian/$target/image
 }

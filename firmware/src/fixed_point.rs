@@ -5,6 +5,8 @@ use core::ops::Neg;
 
 /// Conversion to 32 bits with saturation. Not inlined: used in fifty places, a call is shorter.
 #[inline(never)]
+#[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.estimate"))]
+#[allow(unsafe_code)] // As of `estimate`.
 pub const fn saturate(value: i64) -> i32 {
     if value > i32::MAX as i64 {
         i32::MAX

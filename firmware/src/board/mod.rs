@@ -18,6 +18,7 @@ use crate::protocol::can::{CanReceiver, CanSender};
 use crate::sensors::hall::SensorBus;
 use crate::sensors::imu::Imu;
 use crate::system::task_watchdog::TaskProgress;
+use crate::tasks::Counts;
 use crate::tasks::temperatures::BoardTemperatures;
 
 /// What a board provides to the tasks.
@@ -109,8 +110,8 @@ pub trait MotorDrive {
     /// Reports the state of the motor.
     type Monitor: MotorMonitor;
 
-    /// Starts the control of the motor with the power stage off.
-    fn start(self, settings: Settings) -> (Self::Port, Self::Monitor);
+    /// Starts the control of the motor with the power stage off, which counts what its sensor does.
+    fn start(self, settings: Settings, counts: &'static Counts) -> (Self::Port, Self::Monitor);
 }
 
 /// State of the motor, updated each millisecond.

@@ -67,6 +67,8 @@ impl HysteresisTable {
 }
 
 impl SliderState {
+    #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.estimate"))]
+    #[allow(unsafe_code)] // As of `estimate`.
     fn update(&mut self, sliders: &[Slider; SLIDERS], force: Force) -> Force {
         let now = i64::from(force.0) << SMOOTH_BITS;
         let before = self.last.map_or(now, |_| self.smooth);

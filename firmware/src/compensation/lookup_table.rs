@@ -125,6 +125,8 @@ pub struct CovariateValues<'a> {
 }
 
 impl CovariateValues<'_> {
+    #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.estimate"))]
+    #[allow(unsafe_code)] // As of `estimate`.
     fn value(&self, covariate: Covariate) -> Option<i32> {
         let inputs = self.inputs;
         match covariate {
@@ -188,6 +190,8 @@ pub struct LookupTable<'a> {
 
 impl LookupTable<'_> {
     /// Interpolated value; `None` if an input is missing.
+    #[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.estimate"))]
+    #[allow(unsafe_code)] // As of `estimate`.
     pub fn value(&self, covariates: &CovariateValues) -> Option<i32> {
         let (mut first, mut width) = (0_usize, 1_usize);
         // Distance to the next value along each dimension, and the fraction.

@@ -13,8 +13,9 @@ pub struct DetectionLimits {
     /// Axes with repeated words, summed over consecutive readings, until a sensor is frozen: four readings after the last
     /// change. Five equal words in a row have, for Gaussian noise of s counts, a probability of 1 in 5^(1/2) (2 pi)^2 s^4 per
     /// axis: 6 in 10^12 readings for three axes, one in 460 days of four sensors. With one reading less it would be one a day.
+    /// 255: never.
     pub frozen_axes: u8,
-    /// Read-backs in a row with a changed configuration until a sensor is lost.
+    /// Read-backs in a row with a changed configuration until a sensor is lost; 255: never, and no recovery of its bus either.
     pub config_mismatches: u8,
     /// Failed transfers in a row until a bus is recovered.
     pub failed_transfers: u8,

@@ -19,6 +19,8 @@ pub struct IdealForce {
 }
 
 /// Evaluates the model of a sensor.
+#[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.estimate"))]
+#[allow(unsafe_code)] // As of `estimate`.
 pub fn evaluate(tables: &Tables, sensor: &SensorTable, field: [Field; 3]) -> IdealForce {
     let [x, y, z] = sensor.scale;
     let [bx, by, bz] = field;

@@ -24,6 +24,8 @@ use crate::model::formats::Tables;
 use crate::sensors::hall::{FIRST_SENSORS, HallFrame, HallReading, SENSORS};
 
 /// Estimates the forces at sensor `number` by compensation and ideal model; `state` belongs to that sensor.
+#[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.estimate"))]
+#[allow(unsafe_code)] // The place of the code alone: core-coupled memory, where no instruction waits for the flash.
 pub fn estimate(
     tables: &Tables,
     number: usize,
@@ -78,6 +80,8 @@ pub fn estimate(
 ///
 /// Not inlined: the check of the image starts at this function to prove that no panic is reachable.
 #[inline(never)]
+#[cfg_attr(target_os = "none", unsafe(link_section = ".ccm.estimate"))]
+#[allow(unsafe_code)] // As of `estimate`.
 pub fn estimate_all(
     tables: &Tables,
     frame: &HallFrame,

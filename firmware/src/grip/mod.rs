@@ -51,6 +51,7 @@ use crate::grip::rise::RiseDetector;
 use crate::grip::slip_detector::SlipDetector;
 use crate::grip::stall_detector::{StallDetector, VelocityFilter};
 use crate::grip::states::{PowerState, TaskState};
+use crate::math::{greater, lesser};
 use crate::motor::Setpoint;
 use crate::motor::screw::Screw;
 use crate::protocol::messages::GripStatus;
@@ -61,6 +62,9 @@ use crate::system::faults::{Fault, FaultSet};
 pub const COPY_WORDS: usize = 8;
 /// Time constant of the mean force while holding, in steps.
 const MEAN_TICKS: f32 = 16.0;
+/// Difference of the fingers' forces in newtons up to which a hold controls their mean: one that reads low raises the force by at
+/// most half of it.
+const SYMMETRIC_N: f32 = 2.0;
 
 /// The grip controller. [`GripController::tick`] runs once a millisecond.
 #[derive(Clone, Debug)]
@@ -103,7 +107,7 @@ pub struct GripController {
     obstacle_rad: Option<f32>,
     /// Mean force of each finger in newtons; none while it is invalid.
     means_n: [Option<f32>; 2],
-    /// The greater of both means: the greater of two noisy forces would be biased.
+    /// Mean of both means, less than the greater by half of [`SYMMETRIC_N`] at most; the greater of two noisy forces would be biased.
     mean_n: f32,
     invalid_ticks: u8,
     lost_ticks: u8,
@@ -408,8 +412,14 @@ impl GripController {
                 _ => None,
             };
         }
-        let means_n = self.means_n.into_iter().flatten();
-        self.mean_n = means_n.reduce(f32::max).unwrap_or(self.force_n);
+        self.mean_n = match self.means_n {
+            // A field that is the same at both fingers, as of the Earth, raises one and lowers the other.
+            [Some(left_n), Some(right_n)] => {
+                greater(left_n, right_n) - 0.5 * lesser((left_n - right_n).abs(), SYMMETRIC_N)
+            }
+            [Some(one_n), None] | [None, Some(one_n)] => one_n,
+            [None, None] => self.force_n,
+        };
     }
 
     fn is_at_rest(&self) -> bool {

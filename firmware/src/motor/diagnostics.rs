@@ -49,6 +49,8 @@ impl SensorMonitor {
         let counts = samples.angle.ok();
         let is_repeated = counts.is_some() && counts == self.counts;
         count(&mut self.repeated_periods, is_repeated, 1);
+        // Below the limit that means none.
+        self.repeated_periods = self.repeated_periods.min(u16::MAX - 1);
         self.counts = counts;
         if self.sum_periods >= limits.sum_periods {
             Err(Trip::CurrentSense)

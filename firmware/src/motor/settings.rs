@@ -131,7 +131,7 @@ pub struct MotorLimits {
     /// Consecutive missing or implausible angles that are bridged: half a millisecond.
     pub bridged_angles: u8,
     /// Consecutive equal angle counts that trip. With noise of 0.9 counts a working sensor repeats three times in
-    /// ten, and 36 times in a row once in 10^19.
+    /// ten, and 36 times in a row once in 10^19. `u16::MAX`: none.
     pub stuck_periods: u16,
     /// Maximum voltage residual in volts.
     pub unexplained_v: f32,

@@ -7,14 +7,14 @@
 pub mod schema;
 
 use crate::config::constants::TICK_US;
-use crate::config::limits::GripLimits;
+use crate::config::limits::{DetectionLimits, GripLimits};
 use crate::estimator::tare::{MAX_OFFSET, Tare};
 use crate::fixed_point::Force;
 use crate::math::lesser;
 use crate::motor;
 use crate::motor::calibration::CalibrationOutcome;
 use crate::motor::settings::{MotorLimits, MotorWiring, Settings};
-use crate::parameters::schema::{COUNT, PARAMETERS, Parameter, RULES, id, index_of};
+use crate::parameters::schema::{COUNT, PARAMETERS, Parameter, RULES, detector, id, index_of};
 use crate::protocol::messages::{ParamReply, ParamRequest};
 use crate::sensors::hall::{GripperHallSensor, HallSensor, SENSORS};
 
@@ -89,6 +89,7 @@ impl Parameters {
     }
 
     /// The value of the parameter with this identifier.
+    #[inline(never)] // As of [`Self::set`].
     pub fn get(&self, id: u16) -> Option<i32> {
         self.all().find_map(|(each, value)| (each == id).then_some(value))
     }
@@ -103,6 +104,7 @@ impl Parameters {
     ///
     /// # Errors
     /// [`status::UNKNOWN`] or [`status::OUT_OF_RANGE`].
+    #[inline(never)] // Short where it is called.
     pub fn set(&mut self, id: u16, value: i32) -> Result<(), u8> {
         let mut rows = RULES.iter().zip(&mut self.values);
         let (rule, current) = rows.find(|(rule, _)| rule.id == id).ok_or(status::UNKNOWN)?;
@@ -165,11 +167,31 @@ impl Parameters {
         let limits =
             if self.is_on_bench() { MotorLimits::bench(&settings.screw) } else { settings.limits };
         settings.limits = limits.for_torque_constant(self.torque_nm_a());
+        if !self.detects(detector::STUCK) {
+            settings.limits.stuck_periods = u16::MAX;
+        }
         settings.wiring = MotorWiring {
             offset: (self.value::<{ id::ROTOR_OFFSET }>() as u32) << OFFSET_SHIFT,
             is_swapped: self.value::<{ id::SWAPPED }>() == 1,
         };
         settings
+    }
+
+    /// Whether a detector of [`detector`] is on.
+    pub fn detects(&self, detector: i32) -> bool {
+        self.value::<{ id::DETECTORS }>() & detector != 0
+    }
+
+    /// Thresholds of sensing.
+    pub fn detection_limits(&self) -> DetectionLimits {
+        let mut limits = DetectionLimits::GRIPPER;
+        if !self.detects(detector::FROZEN) {
+            limits.frozen_axes = u8::MAX;
+        }
+        if !self.detects(detector::CONFIGURATION) {
+            limits.config_mismatches = u8::MAX;
+        }
+        limits
     }
 
     /// Thresholds of the grip: currents have the torque that they have with the assumed motor, as far as the motor's limit allows.
@@ -308,9 +330,14 @@ pub const fn handle_counter_request(count: u32, request: &ParamRequest) -> Param
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::motor::diagnostics::SensorMonitor;
+    use crate::motor::power_stage::MotorSamples;
     use crate::parameters::schema::ValueRange;
     use crate::protocol::ESTOP_ALL_ID;
     use crate::protocol::frame_id;
+    use crate::sensors::hall::config_readback::{ConfigReadback, ReadbackResult};
+    use crate::sensors::hall::liveness::LivenessMonitor;
+    use crate::sensors::hall::{HallReading, HallSample};
     use std::vec::Vec;
 
     fn request(parameters: &mut Parameters, op: u8, id: u16, value: i32) -> (u8, i32) {
@@ -318,6 +345,34 @@ mod tests {
         let reply = handle_request(parameters, &message);
         assert_eq!((reply.op, reply.id), (op, id));
         (reply.status, reply.value as i32)
+    }
+
+    /// However long a reading, an angle stays the same, or a configuration word differs.
+    #[test]
+    fn detectors_that_are_switched_off_never_react() {
+        for (detectors, reacts) in [(detector::ALL, true), (0, false)] {
+            let mut parameters = Parameters::DEFAULT;
+            assert_eq!(parameters.set(id::DETECTORS, detectors), Ok(()));
+            let limits = parameters.detection_limits();
+            let mut monitor = LivenessMonitor::new(&limits);
+            let reading = Some(HallSample::New(HallReading::default()));
+            let is_frozen = (0..300).any(|_| monitor.update(reading).reading.is_none());
+            let mut readback = ConfigReadback::new(&limits);
+            let mut word = 0_u8;
+            let is_changed = (0..2000).any(|read| {
+                word = u8::from(read > 100);
+                readback.update(Some([word; 2])) == ReadbackResult::Changed
+            });
+            let is_lost = readback.without_changed([reading; SENSORS]).contains(&None);
+            assert_eq!(readback.summary() & 0xFFFF, 0xF);
+            assert!(readback.summary() >> 16 > 0);
+            let motor = parameters.settings().limits;
+            let mut sensors = SensorMonitor::default();
+            let samples = MotorSamples { phases: [2048; 3], bus: 1600, angle: Ok(7) };
+            let is_stuck = (0..70_000).any(|_| sensors.update(&samples, [0.0; 3], &motor).is_err());
+            assert_eq!([is_frozen, is_changed, is_stuck], [reacts; 3]);
+            assert!(reacts || !is_lost);
+        }
     }
 
     #[test]

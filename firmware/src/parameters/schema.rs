@@ -110,6 +110,14 @@ pub mod counter {
     pub const OPTION_BYTES: u16 = 0x20B;
     /// Flags of the last reset (RCC_CSR).
     pub const RESET_CAUSE: u16 = 0x20C;
+    /// Longest repetition of a reading of a Hall sensor in ticks, saturating at 255.
+    pub const REPEATED_READINGS: u16 = 0x20D;
+    /// Longest repetition of an angle of the rotor sensor in PWM periods, saturating.
+    pub const REPEATED_ANGLES: u16 = 0x20E;
+    /// Hall sensors with a constant configuration word, one bit each; deviations from it in the upper half.
+    pub const CONFIGURATIONS: u16 = 0x20F;
+    /// How often, of twenty times a second, the supply of the chip was low, or had been since the motor was last switched on.
+    pub const LOW_SUPPLY: u16 = 0x210;
 }
 
 /// Identifiers; those of the sensors are consecutive.
@@ -150,10 +158,26 @@ pub mod id {
     pub const SWAPPED: u16 = 0x1D;
     /// Whether the motor's parameters were measured.
     pub const COMMISSIONED: u16 = 0x1E;
+    /// Detectors that are on ([`super::detector`]).
+    pub const DETECTORS: u16 = 0x1F;
     /// First sensor; see [`crate::parameters::Parameters::addresses`].
     pub const ADDRESS: u16 = 0x20;
     /// Fx of the first sensor, then Fz; see [`crate::parameters::Parameters::tare`].
     pub const TARE: u16 = 0x30;
+}
+
+/// Bits of [`id::DETECTORS`]: detectors whose thresholds only a board can confirm; a counter of [`counter`] decides each.
+pub mod detector {
+    /// Frozen Hall sensors, by [`super::counter::REPEATED_READINGS`].
+    pub const FROZEN: i32 = 1;
+    /// Stuck rotor sensor, by [`super::counter::REPEATED_ANGLES`].
+    pub const STUCK: i32 = 2;
+    /// Read-back of the Hall sensors' configuration, by [`super::counter::CONFIGURATIONS`].
+    pub const CONFIGURATION: i32 = 4;
+    /// Low supply of the chip as a break of the motor, by [`super::counter::LOW_SUPPLY`].
+    pub const LOW_SUPPLY: i32 = 8;
+    /// All of them.
+    pub const ALL: i32 = 15;
 }
 
 /// Microohms in an ohm, and micronewton metres in a newton metre.
@@ -162,7 +186,7 @@ pub(super) const MICRO: f64 = 1e6;
 pub(super) const NANO: f64 = 1e9;
 
 /// Count of the parameters.
-pub const COUNT: usize = 18 + SENSORS + 2 * SENSORS;
+pub const COUNT: usize = 19 + SENSORS + 2 * SENSORS;
 
 /// All parameters.
 pub const PARAMETERS: [Parameter; COUNT] = {
@@ -301,6 +325,15 @@ pub const PARAMETERS: [Parameter; COUNT] = {
             description: "limits of the bench: supply from 10.5 V, 2 A, 10 mm/s, 20 N; the end of `magpie board bringup` removes them; takes effect at the next boot",
             affects_motion: true,
             ..switch(id::BENCH, "bench", "")
+        },
+        Parameter {
+            id: id::DETECTORS,
+            name: "detectors",
+            unit: "",
+            default: detector::ALL,
+            range: ValueRange::Between(0, detector::ALL),
+            affects_motion: true,
+            description: "detectors that are on, the sum of: 1 frozen Hall sensors, 2 stuck rotor sensor, 4 changed configuration of a Hall sensor, 8 low 3.3 V as a break of the motor; takes effect at the next boot",
         },
         address(0, "address_0", address_0),
         address(1, "address_1", address_1),

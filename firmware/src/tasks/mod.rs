@@ -199,6 +199,10 @@ pub struct Counts {
     pub packets_unsent: AtomicU32,
     /// See [`counter::BUS_ANSWERS`] ([`sense`]).
     pub bus_answers: AtomicU32,
+    /// See [`counter::REPEATED_READINGS`] ([`sense`]).
+    pub repeated_readings: AtomicU32,
+    /// See [`counter::CONFIGURATIONS`] ([`sense`]).
+    pub configurations: AtomicU32,
     /// See [`counter::ROTOR_SENSOR`]; this and all below are written by the board.
     pub rotor_sensor: AtomicU32,
     /// See [`counter::BREAK_INPUT`].
@@ -209,6 +213,10 @@ pub struct Counts {
     pub option_bytes: AtomicU32,
     /// See [`counter::RESET_CAUSE`].
     pub reset_cause: AtomicU32,
+    /// See [`counter::REPEATED_ANGLES`].
+    pub repeated_angles: AtomicU32,
+    /// See [`counter::LOW_SUPPLY`].
+    pub low_supply: AtomicU32,
 }
 
 impl Counts {
@@ -228,6 +236,10 @@ impl Counts {
             counter::CHIP => &self.chip,
             counter::OPTION_BYTES => &self.option_bytes,
             counter::RESET_CAUSE => &self.reset_cause,
+            counter::REPEATED_READINGS => &self.repeated_readings,
+            counter::REPEATED_ANGLES => &self.repeated_angles,
+            counter::CONFIGURATIONS => &self.configurations,
+            counter::LOW_SUPPLY => &self.low_supply,
             _ => return None,
         };
         Some(count.load(Ordering::Relaxed))
@@ -280,6 +292,10 @@ impl<M: RawMutex> SharedState<M> {
                 chip: AtomicU32::new(0),
                 option_bytes: AtomicU32::new(0),
                 reset_cause: AtomicU32::new(0),
+                repeated_readings: AtomicU32::new(0),
+                configurations: AtomicU32::new(0),
+                repeated_angles: AtomicU32::new(0),
+                low_supply: AtomicU32::new(0),
             },
             parameters: LatestValue::new(Parameters::DEFAULT),
             faults: [const { AtomicU32::new(0) }; REPORTERS],

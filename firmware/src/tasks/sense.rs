@@ -13,7 +13,7 @@ use crate::clock::Clock;
 use crate::config::constants::{READ_LIMIT_US, SENSE_LIMIT_US, TICK_US, TRANSFER_LIMIT_US};
 use crate::config::limits::DetectionLimits;
 use crate::sensors::hall::config_readback::{ConfigReadback, ReadbackResult};
-use crate::sensors::hall::liveness::{LivenessMonitor, MonitoredReading};
+use crate::sensors::hall::liveness::{LivenessMonitor, MonitoredReading, SensorCondition};
 use crate::sensors::hall::{
     self, HallFrame, HallSample, HallSensor, SENSORS, SensorBus, TRANSFER_BYTES, WORD_BYTES,
 };
@@ -144,6 +144,11 @@ pub async fn sense<P: HallSensor, B: SensorBus, C: Clock, M: RawMutex>(
         let [_, s1, _, s3] = read_back.without_changed([None, r1, None, r3]);
         let watched = [m0, w1.update(s1), m2, w3.update(s3)];
         shared.sensed.signal(SensedFrame { watched, begun_us: now_us });
+        let is_read = |sensor: &&MonitoredReading| {
+            matches!(sensor.condition, SensorCondition::Live | SensorCondition::Frozen)
+        };
+        let repeated = watched.iter().filter(is_read).map(|sensor| sensor.age.into()).max();
+        shared.counts.repeated_readings.fetch_max(repeated.unwrap_or_default(), Ordering::Relaxed);
         begin_us = begin_us.saturating_add(TICK_US);
         next_tick.set(clock.until(begin_us));
         read_limit.await;
@@ -164,6 +169,7 @@ pub async fn sense<P: HallSensor, B: SensorBus, C: Clock, M: RawMutex>(
                 // Bytes may be shifted; a changed configuration shows again at the next read-back.
                 bus.clear(shared).await;
             }
+            shared.counts.configurations.store(read_back.summary(), Ordering::Relaxed);
         }
     }
 }

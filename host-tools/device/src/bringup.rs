@@ -11,6 +11,7 @@ use std::fmt::{self, Write as _};
 use std::time::Duration;
 
 use anyhow::{Result, bail};
+use firmware::board::selected::table::{self, Range};
 use firmware::motor::settings::MotorParameters;
 use serde::{Deserialize, Serialize};
 
@@ -25,11 +26,23 @@ pub struct Step {
     pub name: &'static str,
     /// What to connect before.
     pub connect: &'static str,
-    /// What is measured, with its limits.
-    pub expect: &'static str,
+    /// What is measured; `{}` stands for the next of the ranges.
+    expect: &'static str,
+    /// Limits that the board's table states.
+    ranges: &'static [Range],
     /// What to do otherwise.
     pub otherwise: &'static str,
     run: fn(&mut BringUp<'_>) -> Result<()>,
+}
+
+impl Step {
+    /// What is measured, with its limits.
+    pub fn expectation(&self) -> String {
+        self.ranges.iter().fold(self.expect.to_owned(), |text, range| {
+            let ([min, max], unit) = (range.limits, range.unit);
+            text.replacen("{}", format!("{min} to {max} {unit}").trim_end(), 1)
+        })
+    }
 }
 
 /// What a person does.
@@ -64,7 +77,9 @@ impl fmt::Display for Action {
             Self::Turn => f.write_str(
                 "Turn the rotor by hand by a quarter of a turn, so that the fingers close.",
             ),
-            Self::OpenBreak => f.write_str("Open the wire of the break input (PB12)."),
+            Self::OpenBreak => {
+                write!(f, "Open the wire of the break input ({}).", table::BREAK.pins[0].1)
+            }
             Self::CloseBreak => f.write_str("Connect the wire of the break input again."),
             Self::Weight(newtons) => write!(
                 f,
@@ -311,8 +326,8 @@ pub fn document() -> String {
     let mut text =
         "| step | connect | expected | otherwise |\n| --- | --- | --- | --- |\n".to_owned();
     for (number, step) in (1..).zip(&STEPS) {
-        let Step { name, connect, expect, otherwise, .. } = step;
-        let _ = writeln!(text, "| {number} {name} | {connect} | {expect} | {otherwise} |");
+        let (Step { name, connect, otherwise, .. }, expected) = (step, step.expectation());
+        let _ = writeln!(text, "| {number} {name} | {connect} | {expected} | {otherwise} |");
     }
     text
 }

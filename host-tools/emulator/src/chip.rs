@@ -259,14 +259,6 @@ impl Chip {
         self.start()
     }
 
-    /// Pulls the reset pin low for a moment.
-    ///
-    /// # Errors
-    /// As [`Self::new`].
-    pub fn reset_by_pin(&mut self) -> Result<(), Halt> {
-        self.reset(ResetCause::Pin)
-    }
-
     /// Takes the supply away and gives it back: memories but flash are lost.
     ///
     /// # Errors

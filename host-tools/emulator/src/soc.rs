@@ -173,18 +173,6 @@ pub struct Options {
     pub seed: u64,
 }
 
-impl Default for Options {
-    fn default() -> Self {
-        Self {
-            wiring: Wiring::NUCLEO_G474,
-            i2c_delay: Time::from_ns(625),
-            amplifier_settling: Time::from_us(1),
-            lsi: Frequency(32_000),
-            seed: 1,
-        }
-    }
-}
-
 /// Frames on the CAN bus that a program has not seen.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct UnseenFrames {
@@ -633,6 +621,20 @@ impl Soc {
         self.flash.cut_power(cut);
     }
 
+    /// Sets error flags of the flash controller (FLASH_SR).
+    pub fn set_flash_errors(&mut self, errors: u32) {
+        self.flash.set_errors(errors);
+        self.refresh(Block::Flash);
+    }
+
+    /// Lets stops on a sensor bus come late, until a reset of its peripheral.
+    pub fn delay_stops(&mut self, bus: usize, delay: Time) {
+        let number = self.buses.iter().position(|connected| *connected == Some(bus));
+        if let Some(number) = number {
+            self.i2c[number].delay_stops(delay);
+        }
+    }
+
     /// Flips two bits of the double word at an offset in flash: an uncorrectable ECC error.
     pub fn corrupt_flash(&mut self, offset: usize) {
         self.flash.corrupt(offset);
@@ -662,11 +664,6 @@ impl Soc {
             self.refresh(Block::I2c(number));
         }
         number.is_some()
-    }
-
-    /// A pin's port and level, for tests.
-    pub fn pin_level(&self, pin: Pin) -> bool {
-        self.gpio[pin.port].level(pin.number)
     }
 
     /// Bytes of memory at an address, as a debugger reads them. None outside of SRAM, CCM and flash.

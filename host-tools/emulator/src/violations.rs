@@ -109,14 +109,4 @@ impl Violations {
     pub fn iter(&self) -> impl Iterator<Item = &Violation> {
         self.found.values()
     }
-
-    /// Whether there is none.
-    pub fn is_empty(&self) -> bool {
-        self.found.is_empty()
-    }
-
-    /// Clears the list.
-    pub fn clear(&mut self) {
-        self.found.clear();
-    }
 }

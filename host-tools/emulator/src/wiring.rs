@@ -31,27 +31,6 @@ pub struct Wiring {
 }
 
 impl Wiring {
-    /// The reference board, a NUCLEO-G474RE, as the firmware's board support describes it (pins assumed: the paper's own
-    /// board is not public).
-    pub const NUCLEO_G474: Self = Self {
-        sensor_buses: [
-            [Pin::named("PA15"), Pin::named("PB9")],
-            [Pin::named("PC8"), Pin::named("PC9")],
-        ],
-        can: [Pin::named("PA11"), Pin::named("PA12")],
-        serial: [Pin::named("PA3"), Pin::named("PA2")],
-        encoder: [Pin::named("PA5"), Pin::named("PA7"), Pin::named("PA6"), Pin::named("PA4")],
-        inertial: [Pin::named("PC10"), Pin::named("PC12"), Pin::named("PC11"), Pin::named("PD2")],
-        bridges: [
-            [Pin::named("PA8"), Pin::named("PA9"), Pin::named("PA10")],
-            [Pin::named("PB13"), Pin::named("PB14"), Pin::named("PB15")],
-        ],
-        gate_fault: Pin::named("PB12"),
-        analog: [Pin::named("PC0"), Pin::named("PC1"), Pin::named("PC2"), Pin::named("PC3")],
-        thermistors: [Pin::named("PB1"), Pin::named("PB0")],
-        crystal: Frequency(24_000_000),
-    };
-
     /// The pin that is BOOT0 during a reset.
     pub const BOOT0: Pin = Pin::named("PB8");
 

@@ -89,7 +89,7 @@ impl Operator for Person {
         if let Action::Connect(step) = action {
             let step_text = &STEPS[step];
             eprintln!("\nStep {} of {}: {}", step + 1, STEPS.len(), step_text.name);
-            eprintln!("Expected: {}.", step_text.expect);
+            eprintln!("Expected: {}.", step_text.expectation());
         }
         self.answer(&format!("{action} [Enter]")).map(|_| ())
     }

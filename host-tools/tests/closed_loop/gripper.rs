@@ -23,7 +23,7 @@ use sim::drivetrain::parameters::Lead;
 use crate::nominal_tables;
 
 /// Force set-point in newtons.
-const SET_N: f64 = 100.0;
+pub const SET_N: f64 = 100.0;
 
 /// Enabled at an opening of 42 mm around a rigid object of 40 mm.
 fn before_object(lead: Lead) -> ClosedLoop {
@@ -35,7 +35,7 @@ fn before_object(lead: Lead) -> ClosedLoop {
     cell
 }
 
-fn gripping(lead: Lead) -> ClosedLoop {
+pub fn gripping(lead: Lead) -> ClosedLoop {
     let mut cell = before_object(lead);
     cell.host.order(grip_command(SET_N));
     let held = cell.until(3.0, |cell| cell.is_in(TaskState::HoldActive));

@@ -4,6 +4,7 @@ mod faults;
 mod grasp;
 mod gripper;
 mod hazards;
+mod long_life;
 
 use std::sync::LazyLock;
 

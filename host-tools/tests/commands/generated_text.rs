@@ -1,6 +1,9 @@
 //! Parts of documents that are generated from the program.
 
+use std::fmt::Write as _;
 use std::path::Path;
+
+use firmware::board::selected::table::{Basis, FUNCTIONS, RANGES, REQUIREMENTS, VALUES};
 
 /// Compares what is between two marks of a document of this repository with what it must be; with UPDATE_README, writes it.
 pub fn assert_generated(document: &str, [begin, end]: [&str; 2], text: &str) {
@@ -17,4 +20,61 @@ pub fn assert_generated(document: &str, [begin, end]: [&str; 2], text: &str) {
         page == expected,
         "{document}: run `UPDATE_README=1 cargo test -p host-tools --test commands`"
     );
+}
+
+#[test]
+fn bring_up_page_lists_the_steps() {
+    let table = device::bringup::document();
+    assert_generated("firmware/BRING-UP.md", ["<!-- steps -->\n", "<!-- end of steps -->"], &table);
+}
+
+#[test]
+fn board_page_lists_pins_values_and_requirements() {
+    let basis = |basis| match basis {
+        Basis::Assumed => "assumed",
+        Basis::Stated => "stated",
+        Basis::Measured => "measured",
+    };
+    let rule = |columns| format!("{}|\n", "| --- ".repeat(columns));
+    let mut text = format!("| function | pins | level | basis | source |\n{}", rule(5));
+    for row in FUNCTIONS {
+        let pins: Vec<_> = row.pins.iter().map(|(signal, pin)| format!("{signal} {pin}")).collect();
+        let (pins, level) = (pins.join(", "), row.level);
+        let (basis, source) = (basis(row.basis), row.source);
+        let _ = writeln!(
+            text,
+            "| {} | {}: {} | {level} | {basis} | {source} |",
+            row.name,
+            row.peripheral,
+            pins.trim()
+        );
+    }
+    let _ = write!(text, "\n| value | | basis | source |\n{}", rule(4));
+    for row in VALUES {
+        let basis = basis(if row.assumed { Basis::Assumed } else { Basis::Stated });
+        let _ = writeln!(
+            text,
+            "| {} | {} {} | {basis} | {} |",
+            row.name, row.value, row.unit, row.source
+        );
+    }
+    let _ = write!(text, "\n| range at the bring-up | | basis | source |\n{}", rule(4));
+    for row in RANGES {
+        let ([min, max], basis) = (row.limits, basis(row.basis));
+        let unit = row.unit;
+        let _ =
+            writeln!(text, "| {} | {min} to {max} {unit} | {basis} | {} |", row.name, row.source);
+    }
+    let _ = write!(text, "\n| place | the board must provide | basis | source |\n{}", rule(4));
+    for row in REQUIREMENTS {
+        let _ = writeln!(
+            text,
+            "| {} | {} | {} | {} |",
+            row.place,
+            row.text,
+            basis(row.basis),
+            row.source
+        );
+    }
+    assert_generated("firmware/BOARD.md", ["<!-- board -->\n", "<!-- end of board -->"], &text);
 }

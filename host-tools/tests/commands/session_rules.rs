@@ -100,9 +100,3 @@ const fn name(kind: RequestKind) -> &'static str {
         RequestKind::WriteKey => "write or erase the key (14, 15)",
     }
 }
-
-#[test]
-fn bring_up_page_lists_the_steps() {
-    let table = device::bringup::document();
-    assert_generated("firmware/BRING-UP.md", ["<!-- steps -->\n", "<!-- end of steps -->"], &table);
-}

@@ -67,6 +67,8 @@ pub const TIME_LIMITS: [TimeLimits; 3] = [
 
 /// Longest tick of sensing and estimating at typical execution times.
 pub const WORST_TICK_US: u16 = 420;
+/// The same without hits in the caches of the flash.
+pub const WORST_TICK_WITHOUT_CACHES_US: u16 = 600;
 /// Greatest shares of the core's time from the start, in motion at typical execution times, and in motion or a flood of frames
 /// without caches of the flash; and of the stack.
 pub const LOAD: f64 = 0.6;

@@ -9,7 +9,6 @@ use device::bringup::{self, Action, Expected, Operator, Reading, Record, StepFai
 use device::emulation::line::EmulatedLine;
 use device::params_client;
 use device::session::Credentials;
-use emulator::wiring::Wiring;
 use firmware::config::constants;
 use firmware::grip::commands::RefusalReason;
 use firmware::parameters::schema::id;
@@ -17,7 +16,7 @@ use firmware::protocol::session::op;
 use libtest_mimic::{Failed, Trial};
 use sim::board::world::{World, WorldSample};
 use sim::closed_loop::coupling::{GripperWorld, SharedGripper};
-use sim::closed_loop::emulated_board::EmulatedBoard;
+use sim::closed_loop::emulated_board::{EmulatedBoard, wiring};
 use sim::closed_loop::grasp_rig::grip_command;
 use sim::drivetrain::parameters::{Lead, PlantParameters, SCATTER};
 
@@ -130,8 +129,8 @@ fn unused(seed: u64, planted: Option<Planted>, is_supplied: bool) -> Result<(Sha
         Some(Planted::OtherFinger) => Box::new(Exchanged(world)),
         _ => Box::new(world),
     };
-    let (image, wiring) = (made.image.clone(), Wiring::NUCLEO_G474);
-    let mut board = EmulatedBoard::unused(image, TYPICAL, wiring, world, gripper.clone())?;
+    let image = made.image.clone();
+    let mut board = EmulatedBoard::unused(image, TYPICAL, wiring(), world, gripper.clone())?;
     {
         let errors = &mut gripper.borrow_mut().errors;
         match planted {

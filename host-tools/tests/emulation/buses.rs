@@ -11,7 +11,7 @@ use firmware::system::faults::Fault;
 use libtest_mimic::{Failed, Trial};
 use sim::board::SimulatedBoard;
 use sim::board::forger::Forger;
-use sim::closed_loop::emulated_board::{ChipConditions, EmulatedBoard};
+use sim::closed_loop::emulated_board::{self, ChipConditions, EmulatedBoard};
 
 use crate::Effort;
 use crate::boards::{LOAD_WITHOUT_CACHES, at_rest, board, image, overload, pressed, violations};
@@ -122,12 +122,12 @@ fn forged_frames() -> Result<(), Failed> {
 fn boot_pin() -> Result<(), Failed> {
     let made = image(Variant::Default)?;
     let start = |sensor_buses: [[Pin; 2]; 2]| {
-        let wiring = Wiring { sensor_buses, ..Wiring::NUCLEO_G474 };
+        let wiring = Wiring { sensor_buses, ..emulated_board::wiring() };
         let conditions = ChipConditions::TYPICAL;
         let world = pressed(&made.built);
         EmulatedBoard::wired(made.image.clone(), conditions, wiring, world, at_rest(1))
     };
-    let [[clock, data], second] = Wiring::NUCLEO_G474.sensor_buses;
+    let [[clock, data], second] = emulated_board::wiring().sensor_buses;
     assert!(start([[clock, data], second]).is_ok());
     let refused = start([[Wiring::BOOT0, data], second]).err().ok_or("it starts")?;
     assert_eq!(refused.downcast_ref(), Some(&Halt::BootLoader));

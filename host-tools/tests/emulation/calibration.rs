@@ -18,7 +18,7 @@ use sim::mountings::Mountings;
 use tests::data;
 
 use crate::Effort;
-use crate::boards::{LOAD_WITHOUT_CACHES, TYPICAL, image};
+use crate::boards::{LOAD_WITHOUT_CACHES, TYPICAL, WORST_TICK_WITHOUT_CACHES_US, image};
 use crate::images::Variant;
 use crate::motion::{grip_and_release, home, keeps_limits};
 use crate::workdir::WorkDir;
@@ -173,6 +173,6 @@ fn grips_with_networks(image: Image, dir: &WorkDir, setup: &BenchSetup) -> Resul
     cell.board.chip.clear_profile();
     home(cell);
     grip_and_release(cell, 2.0);
-    keeps_limits(cell, LOAD_WITHOUT_CACHES, TICK_US as u16);
+    keeps_limits(cell, LOAD_WITHOUT_CACHES, WORST_TICK_WITHOUT_CACHES_US);
     Ok(())
 }

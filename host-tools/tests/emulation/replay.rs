@@ -54,7 +54,7 @@ pub fn recorded(made: &Made) -> Box<dyn World> {
 fn replays(variant: Variant, conditions: ChipConditions) -> Result<(), Failed> {
     let made = image(variant)?;
     let board = board(&made, conditions, recorded(&made));
-    assert_replays(&made, board, 16)
+    assert_replays(&made, board, 17)
 }
 
 /// Runs a board that measures the recording of `made`; it starts within so many milliseconds.

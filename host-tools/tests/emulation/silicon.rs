@@ -1,17 +1,19 @@
 //! Errata and properties of the silicon that the reference manual states in passing or not at all
 //! (`emulator/README.md`).
 
-use emulator::Frequency;
 use emulator::wiring::Wiring;
+use emulator::{Frequency, Time};
 use firmware::config::constants::MODULATION;
 use firmware::grip::commands::mode;
+use firmware::parameters::Parameters;
+use firmware::parameters::schema::{counter, detector, id};
 use firmware::protocol::messages::{Command, Message};
 use firmware::protocol::serial::{Packet, PacketDecoder};
 use firmware::protocol::session::{op, status};
 use firmware::system::faults::{Event, Fault};
 use libtest_mimic::{Failed, Trial};
 use sim::board::SimulatedBoard;
-use sim::closed_loop::emulated_board::{ChipConditions, EmulatedBoard};
+use sim::closed_loop::emulated_board::{self, ChipConditions, EmulatedBoard};
 use sim::drivetrain::PERIOD_S;
 use sim::drivetrain::sensors::ROOM_C;
 
@@ -19,11 +21,12 @@ use crate::boards::{at_rest, board, image, pressed, violations};
 use crate::faults::holding;
 use crate::images::Variant;
 use crate::motion::{Cell, cell, homed, move_to};
+use crate::storage;
 
 type Test = fn() -> Result<(), Failed>;
 
 pub fn trials() -> Vec<Trial> {
-    let tests: [(&str, Test); 8] = [
+    let tests: [(&str, Test); 10] = [
         ("silicon_log_reader_stops_no_tick_is_missed", log_reader_stops),
         ("silicon_debugger_halts_core_bridges_are_off", debugger_halts),
         ("silicon_temperatures_after_pauses_are_right", temperatures),
@@ -32,6 +35,8 @@ pub fn trials() -> Vec<Trial> {
         ("silicon_dead_crystal_is_reported", dead_crystal),
         ("silicon_direct_current_is_zero_in_both_directions", direct_current),
         ("silicon_single_bank_nothing_is_erased", single_bank),
+        ("silicon_late_stops_no_reading_is_wrong", late_stops),
+        ("silicon_low_supply_without_its_detector_is_counted", low_supply),
     ];
     tests.into_iter().map(|(name, test)| Trial::test(name, test)).collect()
 }
@@ -136,7 +141,7 @@ fn spurious_bus_errors() -> Result<(), Failed> {
 /// The chip runs from its own oscillator, and says so.
 fn dead_crystal() -> Result<(), Failed> {
     let made = image(Variant::Default)?;
-    let wiring = Wiring { crystal: Frequency(0), ..Wiring::NUCLEO_G474 };
+    let wiring = Wiring { crystal: Frequency(0), ..emulated_board::wiring() };
     let world = pressed(&made.built);
     let conditions = ChipConditions::TYPICAL;
     let mut board =
@@ -211,5 +216,74 @@ fn single_bank() -> Result<(), Failed> {
     assert!(image == after, "the image has changed");
     let found = violations(&cell.board);
     assert_eq!(found, [""; 0]);
+    Ok(())
+}
+
+/// A sensor or its lines hold the stop of every transfer back, up to the time of a whole one, and at last by a millisecond: then
+/// readings are missing, but none is another one's, and all return.
+fn late_stops() -> Result<(), Failed> {
+    const TOLERANCE: i16 = 30;
+    let made = image(Variant::Default)?;
+    let mut board = board(&made, ChipConditions::TYPICAL, pressed(&made.built));
+    let mut receiver = PacketDecoder::default();
+    let mut fields = |board: &mut EmulatedBoard, until_us| -> anyhow::Result<Vec<[[i16; 3]; 4]>> {
+        board.run_until(until_us)?;
+        let ticks = board.take_packets(&mut receiver).into_iter().filter_map(|(_, packet)| {
+            if let Packet::Tick(tick) = packet {
+                Some(tick.sensors.map(|each| each.field))
+            } else {
+                None
+            }
+        });
+        Ok(ticks.collect())
+    };
+    let first = fields(&mut board, 500_000)?;
+    let reference = *first.last().ok_or("no tick")?;
+    let (mut read, mut lost) = (0, 0);
+    for (step, late_us) in (1..).zip((20..=200).step_by(20).chain([1000])) {
+        let begin_us = 500_000 + 150_000 * step;
+        board.chip.soc.delay_stops((step % 2) as usize, Time::from_us(late_us));
+        let late = fields(&mut board, begin_us + 30_000)?;
+        board.chip.soc.delay_stops((step % 2) as usize, Time::ZERO);
+        let after = fields(&mut board, begin_us + 150_000)?;
+        for (found, expected) in
+            late.iter().chain(&after).flat_map(|tick| tick.iter().zip(&reference))
+        {
+            let is_missing = *found == [0; 3];
+            (read, lost) = (read + u32::from(!is_missing), lost + u32::from(is_missing));
+            let is_near =
+                found.iter().zip(expected).all(|(a, b)| a.abs_diff(*b) < TOLERANCE as u16);
+            assert!(is_missing || is_near, "{} us: {found:?} instead of {expected:?}", late_us);
+        }
+        let last = after.last().ok_or("no tick")?;
+        assert!(last.iter().all(|field| *field != [0; 3]), "{} us: {last:?}", late_us);
+    }
+    println!("{read} readings, {lost} missing");
+    assert!(lost > 0, "a stop that comes a millisecond late is not noticed");
+    assert_eq!(board.chip.resets, []);
+    assert_eq!(violations(&board), [""; 0]);
+    Ok(())
+}
+
+/// The parameter `detectors` takes the low supply away from the break.
+fn low_supply() -> Result<(), Failed> {
+    let mut cell = cell(40.0)?;
+    let mut parameters = Parameters::DEFAULT;
+    for (id, value) in [(id::BENCH, 0), (id::DETECTORS, detector::ALL - detector::LOW_SUPPLY)] {
+        assert_eq!(parameters.set(id, value), Ok(()));
+    }
+    cell.board.store(&parameters);
+    cell.board.chip.power_cycle()?;
+    assert!(cell.enable(), "{}", cell.state());
+    cell.host.order(Command { mode: mode::HOME, ..Command::default() });
+    cell.run(0.2);
+    assert!(cell.board.chip.soc.motor_duties().is_some());
+    cell.board.chip.soc.set_supply(2700);
+    cell.run(0.3);
+    cell.board.chip.soc.set_supply(3300);
+    assert!(cell.board.chip.soc.motor_duties().is_some());
+    let count = storage::read(&mut cell, counter::LOW_SUPPLY)?;
+    println!("low {count} times");
+    assert!((3..=8).contains(&count), "{count}");
     Ok(())
 }

@@ -20,7 +20,7 @@ const READY_S: f64 = 0.2;
 const SAVE_S: f64 = 0.2;
 
 pub fn trials() -> Vec<Trial> {
-    [Remains::Nothing, Remains::Everything, Remains::Unreadable]
+    [Remains::Half, Remains::Everything, Remains::Unreadable]
         .into_iter()
         .map(|leaves| {
             Trial::test(format!("storage_power_cut_leaves_{leaves:?}"), move || power_cuts(leaves))
@@ -28,7 +28,8 @@ pub fn trials() -> Vec<Trial> {
         .collect()
 }
 
-fn read(cell: &mut Cell, id: u16) -> Result<u32, Failed> {
+/// Reads a parameter or a counter.
+pub fn read(cell: &mut Cell, id: u16) -> Result<u32, Failed> {
     cell.host.received.parameters.clear();
     cell.host.request_parameter(ParamRequest {
         op: parameter_op::READ,

@@ -31,7 +31,7 @@ const READY_S: f64 = 0.3;
 
 pub fn trials(effort: Effort) -> Vec<Trial> {
     let cuts: u32 = if effort == Effort::Acceptance { 200 } else { 12 };
-    let of_remains = [Remains::Nothing, Remains::Everything, Remains::Unreadable];
+    let of_remains = [Remains::Half, Remains::Everything, Remains::Unreadable];
     let mut trials: Vec<Trial> = of_remains
         .into_iter()
         .map(|leaves| {
@@ -41,6 +41,7 @@ pub fn trials(effort: Effort) -> Vec<Trial> {
         .collect();
     trials.push(Trial::test("uploads_with_networks", with_networks));
     trials.push(Trial::test("uploads_damaged_in_flash", damaged));
+    trials.push(Trial::test("uploads_pass_old_flash_errors", old_errors));
     trials
 }
 
@@ -126,6 +127,24 @@ fn damaged() -> Result<(), Failed> {
     let faults: Vec<_> =
         cell.host.received.faults.iter().map(|(_, event)| (event.code, event.source)).collect();
     assert_eq!(faults, [(Fault::StoreUnsound as u16, 1)]);
+    Ok(())
+}
+
+/// Errors that something else has left in the flash controller, each alone, prevent no upload.
+fn old_errors() -> Result<(), Failed> {
+    const PGSERR: u32 = 1 << 7;
+    const PROGERR: u32 = 1 << 3;
+    let made = images::get(Variant::Clean)?;
+    let mut cell = cell(40.0)?;
+    cell.run(READY_S);
+    for (campaign, error) in [("sequence", PGSERR), ("program", PROGERR)] {
+        cell.board.chip.soc.set_flash_errors(error);
+        upload(&mut cell, &encoded(&made.built, &[], campaign))?;
+    }
+    assert_eq!(violations(&cell.board), [""; 0]);
+    cell.board.chip.power_cycle()?;
+    cell.run(READY_S);
+    assert_eq!(running(&mut cell)?.as_deref(), Some("program"));
     Ok(())
 }
 

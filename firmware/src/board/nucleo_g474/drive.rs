@@ -5,7 +5,7 @@
 
 use core::cell::UnsafeCell;
 use core::mem::MaybeUninit;
-use core::sync::atomic::{AtomicU32, Ordering};
+use core::sync::atomic::Ordering;
 
 use embassy_stm32::interrupt::{self, InterruptExt, Priority};
 use embassy_stm32::{Peri, peripherals};
@@ -20,13 +20,14 @@ use crate::board::selected::feedback::{
 use crate::board::selected::pwm::{self, Stage};
 use crate::board::{MotorDrive, MotorMonitor, MotorPort};
 use crate::clock::{Clock, Timed};
-use crate::motor::power_stage::{Encoder, MotorSamples, PowerStage};
+use crate::motor::power_stage::{Encoder, EncoderError, MotorSamples, PowerStage};
 use crate::motor::settings::IdentifiedMotor;
 use crate::motor::state::{MotorCommand, MotorStatus};
 use crate::motor::tick_exchange::{CurrentLoopCommand, CurrentLoopReport};
 use crate::motor::{CurrentLoop, MOTION_HZ, MOTION_PERIODS, MotionLoop, Settings};
 use crate::system::crash::CrashKind;
 use crate::system::queue::{Queue, Reader, Writer};
+use crate::tasks::Counts;
 
 /// Motion loop ticks between two status reports: 1 ms.
 const STATUS_TICKS: u8 = (MOTION_HZ * 1e-3) as u8;
@@ -54,9 +55,6 @@ pub struct Parts {
     /// Its pins.
     pub sensor: SpiPins,
 }
-
-/// What the rotor sensor says of its magnet at the start ([`crate::parameters::schema::counter::ROTOR_SENSOR`]).
-pub static ROTOR_SENSOR: AtomicU32 = AtomicU32::new(u32::MAX);
 
 /// Queue of orders to the motion loop.
 pub struct Orders(Writer<MotorCommand, ORDERS>);
@@ -92,6 +90,9 @@ struct CurrentLoopState {
     state: Writer<CurrentLoopReport, 1>,
     results: Writer<IdentifiedMotor, 1>,
     periods: u8,
+    counts: &'static Counts,
+    /// The last angle and the periods for which it has been the same.
+    last: (Result<u16, EncoderError>, u16),
 }
 
 /// State of the motion loop's interrupt.
@@ -119,13 +120,13 @@ impl MotorDrive for Parts {
     type Port = Orders;
     type Monitor = StatusReports;
 
-    fn start(self, settings: Settings) -> (Orders, StatusReports) {
-        start(self, settings)
+    fn start(self, settings: Settings, counts: &'static Counts) -> (Orders, StatusReports) {
+        start(self, settings, counts)
     }
 }
 
 /// Starts timer and interrupts with all switches off. Must be called once.
-fn start(parts: Parts, settings: Settings) -> (Orders, StatusReports) {
+fn start(parts: Parts, settings: Settings, counts: &'static Counts) -> (Orders, StatusReports) {
     static ORDER_QUEUE: ConstStaticCell<Queue<MotorCommand, ORDERS>> =
         ConstStaticCell::new(Queue::new());
     static STATUS_QUEUE: ConstStaticCell<Queue<Timed<MotorStatus>, 1>> =
@@ -148,7 +149,7 @@ fn start(parts: Parts, settings: Settings) -> (Orders, StatusReports) {
         defmt::warn!("no valid answer of the rotor sensor");
     }
     let diagnosis = sensor.diagnose(&mut Delay).map_or(u32::MAX, u32::from);
-    ROTOR_SENSOR.store(diagnosis, Ordering::Relaxed);
+    counts.rotor_sensor.store(diagnosis, Ordering::Relaxed);
     let inner = CurrentLoopState {
         inner: CurrentLoop::new(settings),
         currents: PhaseCurrents::start(parts.converter, parts.inputs),
@@ -158,6 +159,8 @@ fn start(parts: Parts, settings: Settings) -> (Orders, StatusReports) {
         state: state_writer,
         results: result_writer,
         periods: 0,
+        counts,
+        last: (Err(EncoderError::Silent), 0),
     };
     let outer = MotionLoopState {
         outer: MotionLoop::new(settings),
@@ -199,6 +202,7 @@ impl CurrentLoopState {
         let sensed = MotorSamples { phases, bus, angle };
         self.stage.drive(self.inner.tick(&sensed));
         self.sensor.start_frame();
+        self.count_repeated(angle);
         self.periods = self.periods.saturating_add(1);
         if self.periods >= MOTION_PERIODS {
             self.periods = 0;
@@ -208,6 +212,18 @@ impl CurrentLoopState {
             // Full when the motion loop has missed its ticks: then the events wait, and the current loop trips by itself.
             self.inner.push_report(|report| self.state.push(report));
             interrupt::CORDIC.pend();
+        }
+    }
+}
+
+impl CurrentLoopState {
+    fn count_repeated(&mut self, angle: Result<u16, EncoderError>) {
+        let (last, repeated) = self.last;
+        let repeated = if angle.is_ok() && angle == last { repeated.saturating_add(1) } else { 0 };
+        self.last = (angle, repeated);
+        let longest = &self.counts.repeated_angles;
+        if u32::from(repeated) > longest.load(Ordering::Relaxed) {
+            longest.store(repeated.into(), Ordering::Relaxed);
         }
     }
 }

@@ -22,7 +22,7 @@ use crate::board::selected::i2c::I2cBus;
 use crate::board::selected::imu::{self, InertialSensor};
 use crate::board::selected::random::RandomNumbers;
 use crate::board::selected::thermometer::{self, BoardThermometer};
-use crate::board::selected::{NucleoG474, crash, drive, pwm, sync};
+use crate::board::selected::{NucleoG474, crash, drive, pwm, sync, table};
 use crate::board::{Bsp, Peripherals};
 use crate::model::kernel;
 use crate::protocol::serial::BAUD_RATE;
@@ -30,8 +30,10 @@ use crate::system::crash::CrashKind;
 
 /// Clock of the I2C peripherals: that of the system. HSI16 would be below the 17 MHz of Fast-mode Plus.
 const I2C_HZ: u32 = 160_000_000;
-/// Edges of the sensor buses in nanoseconds, assumed: 1 kOhm, 100 pF.
-const EDGES: EdgeTimes = EdgeTimes { rise: 85, fall: 20 };
+const EDGES: EdgeTimes = {
+    let [rise, fall] = table::EDGES_NS;
+    EdgeTimes { rise, fall }
+};
 /// TIMINGR of the sensor buses.
 const TIMING: u32 = match i2c_timing(I2C_HZ, I2cMode::FastPlus, EDGES) {
     Some(timing) => timing.word(),
@@ -178,9 +180,10 @@ pub(super) const fn bus_frequency(hertz: u32) -> Hertz {
     Hertz(hertz / 2)
 }
 
-/// Connects lock-up of the core, parity error of SRAM, supply below 2.8 V and a flash word with two wrong bits to the break of
-/// the motor timer, which switches the outputs off without software. The connections stay until a reset. Parity is not checked
-/// by a chip as shipped (option SRAM_PE = 1), and must not be: memory that survives a reset is read before it is written.
+/// Connects lock-up of the core, parity error of SRAM and a flash word with two wrong bits to the break of the motor timer, which
+/// switches the outputs off without software, and watches the supply ([`break_on_low_supply`]). The connections stay until a
+/// reset. Parity is not checked by a chip as shipped (option SRAM_PE = 1), and must not be: memory that survives a reset is read
+/// before it is written.
 fn break_on_chip_faults() {
     const LEVEL_2_8_V: u8 = 5;
     pac::PWR.cr2().modify(|w| {
@@ -190,9 +193,13 @@ fn break_on_chip_faults() {
     pac::SYSCFG.cfgr2().modify(|w| {
         w.set_cll(true);
         w.set_spl(true);
-        w.set_pvdl(true);
         w.set_eccl(true);
     });
+}
+
+/// Connects a supply below 2.8 V to the break as well. To be confirmed on a board: a weak regulator must not dip so far.
+pub fn break_on_low_supply() {
+    pac::SYSCFG.cfgr2().modify(|w| w.set_pvdl(true));
 }
 
 /// A halt by a debugger stops the motor timer, which then drives all six pins low (RM0440 28.3.32): else its last duties would stay on
@@ -226,7 +233,7 @@ fn half_speed(has_crystal: bool) -> rcc::Config {
     let mut config = rcc::Config::default();
     config.hsi = true;
     config.hsi48 = Some(rcc::Hsi48Config::default());
-    let crystal = rcc::Hse { freq: Hertz(24_000_000), mode: rcc::HseMode::Oscillator };
+    let crystal = rcc::Hse { freq: Hertz(table::CRYSTAL_HZ), mode: rcc::HseMode::Oscillator };
     config.hse = has_crystal.then_some(crystal);
     let (source, prediv) = if has_crystal {
         (rcc::PllSource::HSE, rcc::PllPreDiv::DIV6)

@@ -71,6 +71,11 @@ impl Stage {
         pac::GPIOB.idr().read().idr(12) == pac::gpio::vals::Idr::HIGH
     }
 
+    /// Whether a fault of the chip, such as a low supply, has switched the outputs off since the stage was last switched on.
+    pub fn was_broken_by_chip() -> bool {
+        TIMER.sr().read().sbif()
+    }
+
     /// Whether the break input has switched the outputs off since the stage was last switched on.
     pub fn is_broken(&self) -> bool {
         self.is_on && !TIMER.bdtr().read().moe()

@@ -21,8 +21,9 @@ use static_cell::StaticCell;
 
 use crate::board::selected::calibration_memory;
 use crate::board::selected::clock::BoardClock;
+use crate::board::selected::peripherals::break_on_low_supply;
 use crate::board::selected::pwm::Stage;
-use crate::board::selected::{NucleoG474, crash, drive};
+use crate::board::selected::{NucleoG474, crash};
 use crate::board::{Bsp, MotorDrive, MotorMonitor, Peripherals, Thermometer, Watchdog};
 use crate::clock::Clock;
 use crate::config::limits::DetectionLimits;
@@ -32,6 +33,7 @@ use crate::model::calibration::Payload;
 use crate::model::tables::{DESCRIPTION, NETWORKS, TABLES, TablesCalibration};
 use crate::motor::screw::Screw;
 use crate::parameters::Backdrivability;
+use crate::parameters::schema::detector;
 use crate::protocol::firmware_version;
 use crate::protocol::messages::Version;
 use crate::sensors::hall::{GripperHallSensor, SENSORS};
@@ -130,9 +132,10 @@ async fn begin(spawner: Spawner, board: Peripherals<B>) {
     let settings = parameters.settings();
     let node = parameters.node();
     board.can_tx.accept_node(node);
-    let (motor_port, motor_status) = board.drive.start(settings);
-    let rotor_sensor = drive::ROTOR_SENSOR.load(Ordering::Relaxed);
-    counts.rotor_sensor.store(rotor_sensor, Ordering::Relaxed);
+    if parameters.detects(detector::LOW_SUPPLY) {
+        break_on_low_supply();
+    }
+    let (motor_port, motor_status) = board.drive.start(settings, counts);
     interrupt::FMAC.set_priority(CONTROL_PRIORITY);
     let executor = CONTROL.start(interrupt::FMAC);
     executor.spawn(once(control(shared, calibration, settings.screw, motor_port, motor_status)));
@@ -166,7 +169,8 @@ async fn begin(spawner: Spawner, board: Peripherals<B>) {
 
 #[embassy_executor::task]
 async fn sense(shared: Shared, buses: [<B as Bsp>::SensorBus; 2], addresses: [u8; SENSORS]) {
-    tasks::sense::<GripperHallSensor, _, _, _>(buses, addresses, &LIMITS, &BoardClock, shared)
+    let limits = shared.parameters().detection_limits();
+    tasks::sense::<GripperHallSensor, _, _, _>(buses, addresses, &limits, &BoardClock, shared)
         .await;
 }
 
@@ -212,7 +216,10 @@ async fn feed(shared: Shared, mut watchdog: <B as Bsp>::Watchdog) {
 #[embassy_executor::task]
 async fn temperatures(shared: Shared, mut thermometer: <B as Bsp>::Thermometer) {
     let measure = || {
-        shared.counts.break_input.store(Stage::is_ready().into(), Ordering::Relaxed);
+        let counts = &shared.counts;
+        counts.break_input.store(Stage::is_ready().into(), Ordering::Relaxed);
+        let is_low = pac::PWR.sr2().read().pvdo() || Stage::was_broken_by_chip();
+        counts.low_supply.fetch_add(is_low.into(), Ordering::Relaxed);
         thermometer.measure()
     };
     tasks::temperatures::temperatures(measure, &BoardClock, shared).await;

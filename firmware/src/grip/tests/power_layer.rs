@@ -241,10 +241,10 @@ fn mean_forces_and_current_follow_by_a_sixteenth() {
         pressed([0.5 * left, 0.5 * left, -0.5 * right, -0.5 * right], [0.0; 4])
     };
     step(&mut grip, &left_and_right(16.0, 8.0), motor);
-    assert_eq!((grip.means_n, grip.mean_n), ([Some(16.0), Some(8.0)], 16.0));
+    assert_eq!((grip.means_n, grip.mean_n), ([Some(16.0), Some(8.0)], 15.0));
     assert!((grip.opening_a - 0.1).abs() < 1e-6);
     step(&mut grip, &left_and_right(32.0, 56.0), motor);
-    assert_eq!((grip.means_n, grip.mean_n), ([Some(17.0), Some(11.0)], 17.0));
+    assert_eq!((grip.means_n, grip.mean_n), ([Some(17.0), Some(11.0)], 16.0));
     // 0.1 + (1.6 - 0.1) / 16.
     assert!((grip.opening_a - 0.193_75).abs() < 1e-6);
     let mut estimates = left_and_right(17.0, 11.0);

@@ -298,3 +298,36 @@ proptest! {
         }
     }
 }
+
+/// The power stage fails again each time, just when the offsets have been measured and the motor is armed, or a period before or
+/// after it, with a set-point that waits.
+#[test]
+fn fault_that_returns_at_each_arming_drives_no_current() {
+    let mut model = MotorModel::new();
+    let mut motor = Motor::new(Settings::assumed(Screw::A));
+    motor.handle_command(MotorCommand::Arm);
+    let mut arming = 0_u32;
+    while motor.status().state != MotorState::Armed {
+        model.run(&mut motor, 1, |_, _| {});
+        arming += 1;
+    }
+    for moment in [arming - 1, arming, arming + 1] {
+        let mut model = MotorModel::new();
+        let mut motor = Motor::new(Settings::assumed(Screw::A));
+        for _ in 0..20 {
+            motor.handle_command(MotorCommand::Disarm);
+            model.run(&mut motor, 10, |_, _| {});
+            motor.handle_command(MotorCommand::Arm);
+            motor.handle_command(MotorCommand::Setpoint(Setpoint::Current { closing_a: 5.0 }));
+            for period in 0..arming + 20 {
+                if period == moment {
+                    motor.trip_power_stage();
+                }
+                model.run(&mut motor, 1, |model, _| {
+                    assert!(model.q().abs() < 0.05, "{moment} {period}: {} A", model.q());
+                });
+            }
+            assert_eq!(motor.status().state, MotorState::Tripped(Trip::PowerStage));
+        }
+    }
+}

@@ -31,6 +31,8 @@ pub struct ConfigReadback {
     sensors: [ReferenceWord; SENSORS],
     /// Index in [`TURNS`].
     turn: usize,
+    /// Deviations of all sensors.
+    deviations: u16,
 }
 
 /// Result of one read.
@@ -55,7 +57,12 @@ impl ConfigReadback {
     /// State before the first read.
     pub const fn new(limits: &DetectionLimits) -> Self {
         let unread = ReferenceWord { first: None, settled: Some(0), deviations: 0 };
-        Self { max_deviations: limits.config_mismatches, sensors: [unread; SENSORS], turn: 0 }
+        Self {
+            max_deviations: limits.config_mismatches,
+            sensors: [unread; SENSORS],
+            turn: 0,
+            deviations: 0,
+        }
     }
 
     /// Sensor to read next.
@@ -70,7 +77,11 @@ impl ConfigReadback {
         if let (Some(word), Some(reference)) = (word, self.sensors.get_mut(sensor)) {
             let is_first = *reference.first.get_or_insert(word) == word;
             reference.deviations = match (is_first, reference.settled) {
-                (false, Some(SETTLES..)) => reference.deviations.saturating_add(1),
+                (false, Some(SETTLES..)) => {
+                    self.deviations = self.deviations.saturating_add(1);
+                    // Below the limit that means never.
+                    reference.deviations.saturating_add(1).min(u8::MAX - 1)
+                }
                 (false, _) => {
                     reference.settled = None;
                     0
@@ -80,12 +91,19 @@ impl ConfigReadback {
                     0
                 }
             };
-            if reference.deviations == 1 {
+            if reference.deviations == 1 && self.max_deviations != u8::MAX {
                 return ReadbackResult::Changed;
             }
         }
         self.turn = (self.turn + 1) % SENSORS;
         ReadbackResult::Unchanged
+    }
+
+    /// See [`crate::parameters::schema::counter::CONFIGURATIONS`].
+    pub fn summary(&self) -> u32 {
+        let is_constant = |word: &ReferenceWord| matches!(word.settled, Some(SETTLES..));
+        let bits = (0_u32..).zip(&self.sensors).filter(|(_, word)| is_constant(word));
+        bits.fold(u32::from(self.deviations) << 16, |bits, (sensor, _)| bits | 1 << sensor)
     }
 
     /// The samples without those of sensors with a lost configuration.

@@ -70,7 +70,9 @@ impl LivenessMonitor {
         self.missed = 0;
         // The temperature is converted apart: its last bit flickers even if the field is frozen.
         if self.last.replace(reading).is_some_and(|last| last.field == reading.field) {
-            self.repeated = self.repeated.saturating_add(unsaturated_axes(&reading));
+            // Below the limit that means never.
+            self.repeated =
+                self.repeated.saturating_add(unsaturated_axes(&reading)).min(u8::MAX - 1);
         } else {
             (self.age, self.repeated) = (0, 0);
         }

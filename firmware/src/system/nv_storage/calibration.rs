@@ -344,6 +344,8 @@ async fn write<F: NorFlash>(flash: &mut F, slot: u32, upload: &mut Upload) -> Op
 mod tests {
     use std::vec::Vec;
 
+    use embedded_storage_async::nor_flash::ReadNorFlash;
+
     use super::super::flash_model::{Cut, FlashModel, PAGE, Torn, block};
     use super::*;
     use crate::model::calibration::{FORMAT, format};
@@ -360,7 +362,7 @@ mod tests {
     }
 
     const PAGES: usize = (SLOTS * SLOT_BYTES) as usize / PAGE;
-    type Memory = FlashModel<PAGES>;
+    type Memory = FlashModel<{ PAGES + 1 }>;
 
     /// A calibration with this payload.
     fn encoded(payload: &[u8]) -> Vec<u8> {
@@ -402,11 +404,19 @@ mod tests {
     fn uploads_alternate_between_the_slots() {
         let mut flash = Memory::new(1);
         assert_eq!(newest(&mut flash), None);
-        for (number, length) in [(1, 100), (2, 5000), (3, MAX_BYTES as usize), (4, 30)] {
+        // What is behind the slots, as the image is before them.
+        block(flash.write((PAGES * PAGE) as u32, &[0xA5; PAGE])).unwrap();
+        for number in 1..=200 {
+            let length = [100, 5000, MAX_BYTES as usize, 30][usize::from(number % 4)];
             let stored = upload(&mut flash, &calibration(number, length)).unwrap();
             assert_eq!((stored.slot, stored.sequence), (1 - u32::from(number % 2), number.into()));
             assert_eq!(newest(&mut flash), Some(number.into()));
         }
+        let [slots @ .., behind] = &flash.erasures;
+        assert!(slots.iter().all(|erasures| *erasures <= 100) && *behind == 0, "{slots:?}");
+        let mut bytes = [0; PAGE];
+        block(flash.read((PAGES * PAGE) as u32, &mut bytes)).unwrap();
+        assert_eq!(bytes, [0xA5; PAGE]);
     }
 
     #[test]

@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use anyhow::{Result, bail};
+use firmware::board::selected::table;
 use firmware::config::constants;
 use firmware::grip::commands::mode;
 use firmware::grip::states::{PowerState, TaskState, state_code};
@@ -22,7 +23,8 @@ pub const STEPS: [Step; 12] = [
     Step {
         name: "chip",
         connect: "3.3 V and the debugger's serial line; the motor supply is off.",
-        expect: "device 469 (hexadecimal); option DBANK = 1, BFB2 = 0; crystal and store without a fault; chip 0 to 70 °C; at most 1 V at the bus",
+        expect: "device 469 (hexadecimal); option DBANK = 1, BFB2 = 0; crystal and store without a fault; chip {}; {} at the bus",
+        ranges: &[table::CHIP_C, table::UNSUPPLIED_V],
         otherwise: "Set the option bytes with STM32CubeProgrammer and program the image again; check the crystal",
         run: chip,
     },
@@ -30,41 +32,47 @@ pub const STEPS: [Step; 12] = [
         name: "lines",
         connect: "A CAN node that acknowledges, and terminators of 120 ohm at both ends.",
         expect: "in 1 s no frame without acknowledge, no broken packet",
+        ranges: &[],
         otherwise: "Check the transceiver's standby input, the terminators and the baud rate of 3 Mbaud",
         run: lines,
     },
     Step {
         name: "sensors",
         connect: "The four Hall sensors and the thermistors; look at the rise times of both I2C buses (at most 120 ns).",
-        expect: "answers at the two stated addresses of each bus, and no other between 0x60 and 0x6F; noise of 0.3 to 10 counts; at most 3 equal readings in a row; motor -20 to 60 °C; a pressed finger moves its own two sensors at least three times as much as the others",
+        expect: "answers at the two stated addresses of each bus, and no other between 0x60 and 0x6F; a constant configuration of each sensor; noise of {}; {} equal readings in a row; motor {}; a pressed finger moves its own two sensors at least three times as much as the others",
+        ranges: &[table::NOISE, table::EQUAL_READINGS, table::MOTOR_C],
         otherwise: "Check address straps, pull-ups and the plugs of the fingers (sensors 0 and 1: finger 1), and the thermistors' wires",
         run: sensors,
     },
     Step {
         name: "rotor sensor",
         connect: "The AS5047P with its magnet.",
-        expect: "offsets compensated, no MAGL, MAGH or overflow; gain 20 to 235; the angle follows the rotor by 30° to 150°; fewer than 36 equal angles in a row",
+        expect: "offsets compensated, no MAGL, MAGH or overflow; gain {}; the angle follows the rotor by 30° to 150°; {} equal angles in a row",
+        ranges: &[table::ENCODER_GAIN, table::EQUAL_ANGLES],
         otherwise: "Check the magnet, its distance (0.5 to 3 mm) and centre, and the wires of SPI1",
         run: rotor_sensor,
     },
     Step {
         name: "gates",
         connect: "The gate drivers; the motor supply stays off.",
-        expect: "at most 0.5 V at the six gate inputs while the chip is held in reset",
+        expect: "{} at the six gate inputs while the chip is held in reset",
+        ranges: &[table::GATES_OFF_V],
         otherwise: "Fit the pull-downs at the gate inputs",
         run: gates,
     },
     Step {
         name: "break input",
         connect: "The power stage's fault output to PB12.",
-        expect: "low with an open wire, high with the wire connected; at most 0.5 V at the gates after a halt of the core and during a dip of the 3.3 V rail",
+        expect: "low with an open wire, high with the wire connected; {} at the gates after a halt of the core and during a dip of the 3.3 V rail",
+        ranges: &[table::GATES_OFF_V],
         otherwise: "Fit the pull-up of at most 4.7 kilohm at the fault output; check that a halt stops TIM1",
         run: break_input,
     },
     Step {
         name: "supply",
         connect: "The motor supply: 12 V with a limit of 1 A.",
-        expect: "11 to 13 V; at most 0.3 A; arming measures current offsets within 0.8 A",
+        expect: "{}; {} at rest; arming measures current offsets within 0.8 A",
+        ranges: &[table::BENCH_V, table::REST_A],
         otherwise: "Check the divider of the bus voltage, the shunts' amplifiers and their reference",
         run: supply,
     },
@@ -72,6 +80,7 @@ pub const STEPS: [Step; 12] = [
         name: "motor",
         connect: "The motor; the screw uncoupled.",
         expect: "current senses along the field; resistance within a factor of 1.6 of the data sheet, inductance of 1.8, torque constant of 1.5, inertia of 2; its pole pairs; dry friction at most 0.1 N m",
+        ranges: &[],
         otherwise: "Exchanged or inverted current senses, the wrong motor, or a brake: correct it and repeat the step",
         run: motor,
     },
@@ -79,13 +88,15 @@ pub const STEPS: [Step; 12] = [
         name: "speed",
         connect: "The screw coupled, nothing between or around the fingers, which are at least 10 mm from both ends.",
         expect: "opens at 3 to 7 mm/s for a second, without a fault",
+        ranges: &[],
         otherwise: "A wrong sign or speed: check the parameter lead, and the coupling",
         run: speed,
     },
     Step {
         name: "homing",
         connect: "As before; the current is that of the bench, at most 2 A.",
-        expect: "homed in 40 s, an opening within 1 mm of the stroke, without a fault",
+        expect: "homed in 40 s, an opening within 1 mm of the stroke, without a fault, and without a dip of the 3.3 V rail below 2.8 V",
+        ranges: &[],
         otherwise: "Check the stroke, the forces' signs (`cargo magpie monitor`) and the calibration",
         run: homing,
     },
@@ -93,6 +104,7 @@ pub const STEPS: [Step; 12] = [
         name: "stop",
         connect: "As before; a hand at the supply's switch.",
         expect: "below 1.5 mm/s 0.5 s after a stop, and 0.7 s after the host has fallen silent",
+        ranges: &[],
         otherwise: "Do not go on: the gripper must stop by itself",
         run: stop,
     },
@@ -100,6 +112,7 @@ pub const STEPS: [Step; 12] = [
         name: "forces",
         connect: "As before; at first nothing touches the fingertips.",
         expect: "the weight within 15 %",
+        ranges: &[],
         otherwise: "Calibrate the gripper (`cargo magpie record`, `fit`, `upload`) and repeat the step",
         run: forces,
     },
@@ -124,8 +137,8 @@ fn chip(doing: &mut BringUp<'_>) -> Result<()> {
     let (bus_v, mcu_c, _) = power(&observed)?;
     let is_unsound = has_fault(&observed, Fault::StoreUnsound);
     doing.check("fault of crystal or store", is_unsound.into(), [0.0; 2])?;
-    doing.check("bus in V", bus_v, [0.0, 1.0])?;
-    doing.check("chip in °C", mcu_c, [0.0, 70.0])
+    doing.check("bus in V", bus_v, table::UNSUPPLIED_V.limits)?;
+    doing.check("chip in °C", mcu_c, table::CHIP_C.limits)
 }
 
 fn lines(doing: &mut BringUp<'_>) -> Result<()> {
@@ -161,13 +174,26 @@ fn sensors(doing: &mut BringUp<'_>) -> Result<()> {
         for axis in 0..3 {
             let noise = deviation(fields.iter().map(|field| f64::from(field[axis])));
             let name = format!("noise of sensor {sensor}, axis {axis}, in counts");
-            doing.check(&name, noise, [0.3, 10.0])?;
+            doing.check(&name, noise, table::NOISE.limits)?;
         }
         let name = format!("equal readings of sensor {sensor} in a row");
-        doing.check(&name, longest_run(&fields), [1.0, 3.0])?;
+        doing.check(&name, longest_run(&fields), table::EQUAL_READINGS.limits)?;
     }
+    let repeated = doing.gripper.read(counter::REPEATED_READINGS)?;
+    doing.check(
+        "equal readings of a sensor in a row since boot",
+        f64::from(repeated + 1),
+        table::EQUAL_READINGS.limits,
+    )?;
+    let configurations = doing.gripper.read(counter::CONFIGURATIONS)?;
+    doing.check(
+        "sensors with a constant configuration, one bit each",
+        f64::from(configurations & 0xFFFF),
+        [f64::from((1_u32 << SENSORS) - 1); 2],
+    )?;
+    doing.check("changes of it", f64::from(configurations >> 16), [0.0; 2])?;
     let (_, _, motor_c) = power(&still)?;
-    doing.check("motor in °C", motor_c, [-20.0, 60.0])?;
+    doing.check("motor in °C", motor_c, table::MOTOR_C.limits)?;
     for finger in 0..2 {
         let before = mean_fields(&doing.gripper.observe(tenths(2))?.ticks);
         doing.act(Action::Press(finger))?;
@@ -198,21 +224,21 @@ fn rotor_sensor(doing: &mut BringUp<'_>) -> Result<()> {
     let Ok(bits) = u16::try_from(found) else { bail!("the sensor does not answer") };
     doing.check("offsets compensated", (bits & diagnosis::READY != 0).into(), [1.0; 2])?;
     doing.check("MAGL, MAGH, COF", f64::from(bits & diagnosis::WRONG), [0.0; 2])?;
-    doing.check("gain", f64::from(bits & diagnosis::GAIN), [20.0, 235.0])?;
+    doing.check("gain", f64::from(bits & diagnosis::GAIN), table::ENCODER_GAIN.limits)?;
     let before = turn(&doing.gripper.observe(tenths(2))?)?;
     doing.act(Action::Turn)?;
     let after = turn(&doing.gripper.observe(tenths(2))?)?;
     let turned = f64::from(after.wrapping_sub(before) as i16) * 360.0 / 65_536.0;
     doing.note("sign of the angle while the fingers close", turned.signum());
     doing.check("turned by degrees", turned.abs(), [30.0, 150.0])?;
-    let watched = doing.gripper.observe(doing.expected.watch)?;
-    let turns: Vec<_> = watched.ticks.iter().filter_map(angle).collect();
-    doing.check("equal angles in a row", longest_run(&turns), [1.0, 35.0])
+    doing.gripper.observe(doing.expected.watch)?;
+    let repeated = doing.gripper.read(counter::REPEATED_ANGLES)?;
+    doing.check("equal angles in a row", f64::from(repeated + 1), table::EQUAL_ANGLES.limits)
 }
 
 fn gates(doing: &mut BringUp<'_>) -> Result<()> {
     let volts = doing.operator.read(Reading::GatesInReset)?;
-    doing.check("gates in reset in V", volts, [0.0, 0.5])
+    doing.check("gates in reset in V", volts, table::GATES_OFF_V.limits)
 }
 
 fn break_input(doing: &mut BringUp<'_>) -> Result<()> {
@@ -231,7 +257,7 @@ fn break_input(doing: &mut BringUp<'_>) -> Result<()> {
         (Reading::GatesAfterDip, "gates during a dip in V"),
     ] {
         let volts = doing.operator.read(reading)?;
-        doing.check(name, volts, [0.0, 0.5])?;
+        doing.check(name, volts, table::GATES_OFF_V.limits)?;
     }
     // A halt and a dip leave latched faults.
     doing.gripper.clear()
@@ -241,7 +267,7 @@ fn supply(doing: &mut BringUp<'_>) -> Result<()> {
     doing.gripper.set_bench(true)?;
     doing.gripper.restart()?;
     let (bus_v, ..) = power(&doing.gripper.observe(tenths(5))?)?;
-    doing.check("bus in V", bus_v, [11.0, 13.0])?;
+    doing.check("bus in V", bus_v, table::BENCH_V.limits)?;
     let mut armed = doing.gripper.arm()?;
     let enable = Command { mode: mode::ENABLE, ..Command::default() };
     let unhomed = state_code(PowerState::Enabled, TaskState::Unhomed);
@@ -251,7 +277,7 @@ fn supply(doing: &mut BringUp<'_>) -> Result<()> {
         observed.state.power.map_or(f64::NAN, |power| 0.01 * f64::from(power.value.current));
     armed.end()?;
     doing.check("armed, with current offsets within the limit", is_on.into(), [1.0; 2])?;
-    doing.check("current at rest in A", bus_a, [-0.3, 0.3])
+    doing.check("current at rest in A", bus_a, table::REST_A.limits)
 }
 
 fn motor(doing: &mut BringUp<'_>) -> Result<()> {
@@ -307,6 +333,8 @@ fn homing(doing: &mut BringUp<'_>) -> Result<()> {
     let opening_mm =
         observed.state.grip.map_or(f64::NAN, |grip| 0.01 * f64::from(grip.value.position));
     faultless(doing, &observed)?;
+    let low = doing.gripper.read(counter::LOW_SUPPLY)?;
+    doing.check("low 3.3 V, how often", low.into(), [0.0; 2])?;
     let stroke = constants::STROKE.value;
     doing.check("opening after homing in mm", opening_mm, [stroke - 1.0, stroke + 1.0])
 }

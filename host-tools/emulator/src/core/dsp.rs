@@ -5,7 +5,7 @@ use crate::core::arithmetic::{SATURATED, saturate_signed, saturate_unsigned};
 use crate::core::instruction::{
     DspMultiply, Extension, LongMultiply, ParallelFormat, ParallelOperation, Register,
 };
-use crate::core::state::{GE, State};
+use crate::core::state::State;
 
 /// Low or high halfword with its sign.
 #[inline(always)]
@@ -25,41 +25,6 @@ const fn word(value: u32) -> i64 {
 const fn dual_products(n: u32, m: u32, exchange: bool) -> (i64, i64) {
     let m = if exchange { m.rotate_right(16) } else { m };
     (half(n, false) * half(m, false), half(n, true) * half(m, true))
-}
-
-/// A result with the GE flags of the modulo formats, in bits 3 to 0.
-struct Lanes {
-    result: u32,
-    greater_equal: u32,
-}
-
-impl Lanes {
-    /// Appends a lane of `width` bits from bit `low` up. `carry` is the GE condition of the lane: no
-    /// borrow of a difference, a carry of an unsigned sum, a signed result that is not negative.
-    #[inline(always)]
-    fn set(&mut self, low: u32, width: u32, value: i32, format: ParallelFormat, carry: bool) {
-        let limited = match format {
-            ParallelFormat::Signed | ParallelFormat::Unsigned => value,
-            ParallelFormat::SignedHalving | ParallelFormat::UnsignedHalving => value >> 1,
-            ParallelFormat::SignedSaturating => saturate_signed(value as i64, width).0,
-            ParallelFormat::UnsignedSaturating => saturate_unsigned(value as i64, width).0 as i32,
-        };
-        let mask = (1 << width) - 1;
-        self.result |= (limited as u32 & mask) << low;
-        if carry {
-            // One flag for each byte of the lane.
-            self.greater_equal |= ((1 << (width / 8)) - 1) << (low / 8);
-        }
-    }
-}
-
-const fn is_unsigned(format: ParallelFormat) -> bool {
-    matches!(
-        format,
-        ParallelFormat::Unsigned
-            | ParallelFormat::UnsignedSaturating
-            | ParallelFormat::UnsignedHalving
-    )
 }
 
 /// The lane of `width` bits from bit `low` up.
@@ -109,15 +74,6 @@ impl State {
             DspMultiply::MostSignificantSubtract { round } => {
                 let product = word(n) * word(m);
                 return self.most_significant(d, accumulator, product.wrapping_neg(), round);
-            }
-            DspMultiply::SumOfDifferences => {
-                let sum: u32 = n
-                    .to_le_bytes()
-                    .into_iter()
-                    .zip(m.to_le_bytes())
-                    .map(|(n, m)| n.abs_diff(m) as u32)
-                    .sum();
-                return self.write(d, accumulator.wrapping_add(sum));
             }
         };
         self.write(d, sum as u32);
@@ -170,36 +126,23 @@ impl State {
 
     /// Parallel additions and subtractions of bytes or halfwords.
     #[inline]
-    pub(super) fn parallel(
-        &mut self,
-        operation: ParallelOperation,
-        format: ParallelFormat,
-        d: Register,
-        n: u32,
-        m: u32,
-    ) {
-        use ParallelOperation as P;
-        let width = if matches!(operation, P::Add8 | P::Subtract8) { 8 } else { 16 };
-        let exchange = matches!(operation, P::AddSubtractExchange | P::SubtractAddExchange);
-        let m = if exchange { m.rotate_right(16) } else { m };
-        let unsigned = is_unsigned(format);
-        let mut lanes = Lanes { result: 0, greater_equal: 0 };
+    pub(super) fn parallel(&mut self, operation: ParallelOperation, d: Register, n: u32, m: u32) {
+        use ParallelFormat as F;
+        let ParallelOperation { format, width, subtract } = operation;
+        let width = u32::from(width);
+        let unsigned = matches!(format, F::Unsigned | F::UnsignedSaturating);
+        let mut result = 0;
         for low in (0..32).step_by(width as usize) {
-            let subtract = match operation {
-                P::Add16 | P::Add8 => false,
-                P::Subtract16 | P::Subtract8 => true,
-                P::AddSubtractExchange => low == 0,
-                P::SubtractAddExchange => low != 0,
-            };
             let (first, second) = (lane(n, low, width, unsigned), lane(m, low, width, unsigned));
             let value = if subtract { first - second } else { first + second };
-            let carry = if unsigned && !subtract { value >> width != 0 } else { value >= 0 };
-            lanes.set(low, width, value, format, carry);
+            let limited = match format {
+                F::Signed | F::Unsigned => value,
+                F::SignedSaturating => saturate_signed(value as i64, width).0,
+                F::UnsignedSaturating => saturate_unsigned(value as i64, width).0 as i32,
+            };
+            result |= (limited as u32 & ((1 << width) - 1)) << low;
         }
-        self.write(d, lanes.result);
-        if matches!(format, ParallelFormat::Signed | ParallelFormat::Unsigned) {
-            self.apsr = self.apsr & !GE | lanes.greater_equal << 16;
-        }
+        self.write(d, result);
     }
 
     /// QADD, QSUB, QDADD, QDSUB: the doubling saturates for itself.
@@ -219,14 +162,6 @@ impl State {
         let (result, saturated) = saturate_signed(sum, 32);
         self.write(d, result as u32);
         self.set_saturated(doubling || saturated);
-    }
-
-    /// SEL: each byte from the first operand where its GE flag is set, else from the second.
-    #[inline]
-    pub(super) fn select_bytes(&mut self, d: Register, n: u32, m: u32) {
-        let flags = self.apsr >> 16;
-        let mask: u32 = (0..4).map(|byte| (flags >> byte & 1) * (0xFF << (8 * byte))).sum();
-        self.write(d, n & mask | m & !mask);
     }
 
     /// PKHBT and, with the high halfword of the first operand, PKHTB.
@@ -249,23 +184,6 @@ impl State {
         let (result, saturated) = saturate_unsigned(word(operand), bits);
         self.write(d, result);
         self.set_saturated(saturated);
-    }
-
-    /// SSAT16 and USAT16.
-    #[inline]
-    pub(super) fn saturate_halves(&mut self, d: Register, n: u32, bits: u32, unsigned: bool) {
-        let limit = |value| {
-            if unsigned {
-                saturate_unsigned(value, bits)
-            } else {
-                let (result, saturated) = saturate_signed(value, bits);
-                (result as u32, saturated)
-            }
-        };
-        let (low, low_saturated) = limit(half(n, false));
-        let (high, high_saturated) = limit(half(n, true));
-        self.write(d, high << 16 | low & 0xFFFF);
-        self.set_saturated(low_saturated || high_saturated);
     }
 
     /// SXTAB and the like; without addition `n` is the PC. `operand` is rotated already.

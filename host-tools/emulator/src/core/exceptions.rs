@@ -4,12 +4,13 @@
 //! fault on stacking, on unstacking or on the fetch of a vector is handled as the architecture's derived
 //! exceptions are.
 
+use crate::core::arithmetic::NZCV;
 use crate::core::bus::Bus;
-use crate::core::state::{FPSCR, Fault, LR, SP, Sleep, State, Trap};
+use crate::core::state::{Fault, LR, SP, Sleep, State, Trap};
 use crate::core::system_control::{
-    AUTOMATIC_STATE, BUS_FAULT, BUS_FAULT_READY, DEFAULT_STATUS, FloatAccess, HARD_FAULT,
-    HARD_FAULT_READY, LAZY_ACTIVE, LAZY_STATE, MEM_MANAGE, MEM_MANAGE_READY, NMI, SystemControl,
-    THREAD_CONTEXT, USAGE_FAULT, USER_CONTEXT, fault_status,
+    AUTOMATIC_STATE, BUS_FAULT, BUS_FAULT_READY, FloatAccess, HARD_FAULT, HARD_FAULT_READY,
+    LAZY_ACTIVE, LAZY_STATE, MEM_MANAGE, MEM_MANAGE_READY, NMI, SystemControl, THREAD_CONTEXT,
+    USAGE_FAULT, USER_CONTEXT, fault_status,
 };
 use crate::core::{Stop, Width};
 
@@ -424,7 +425,7 @@ impl State {
         let extended = exc_return & RETURN_BASIC == 0;
         if let Some(float) = frame.float {
             self.s[..16].copy_from_slice(&float[..16]);
-            self.fpscr = float[16] & FPSCR;
+            self.fpscr = float[16] & NZCV;
         } else if extended {
             system.fpccr &= !LAZY_ACTIVE;
         }
@@ -458,9 +459,6 @@ impl State {
         }
         let system = bus.system();
         if system.fpccr & AUTOMATIC_STATE != 0 && !self.float_active {
-            // Only the modes are initialised; flags and cumulative exceptions remain.
-            let modes = system.default_float_status();
-            self.fpscr = self.fpscr & !DEFAULT_STATUS | modes;
             self.float_active = true;
         }
         self.float_ready = true;

@@ -137,30 +137,22 @@ pub(super) struct MultipleMode {
     pub(super) write_back: bool,
 }
 
-/// Lanes and operation of the parallel additions and subtractions.
+/// Parallel additions and subtractions.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum ParallelOperation {
-    Add16,
-    /// Exchange, add the high and subtract the low halfword.
-    AddSubtractExchange,
-    /// Exchange, subtract the high and add the low halfword.
-    SubtractAddExchange,
-    Subtract16,
-    Add8,
-    Subtract8,
+pub(super) struct ParallelOperation {
+    pub(super) format: ParallelFormat,
+    /// Bits of a lane.
+    pub(super) width: u8,
+    pub(super) subtract: bool,
 }
 
-/// Number format of the parallel additions and subtractions.
+/// Number format of the parallel additions and subtractions. The GE flags are not modelled: no instruction here reads them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum ParallelFormat {
-    /// Modulo arithmetic; sets the GE flags.
     Signed,
     SignedSaturating,
-    SignedHalving,
-    /// Modulo arithmetic; sets the GE flags.
     Unsigned,
     UnsignedSaturating,
-    UnsignedHalving,
 }
 
 /// Widths of the extending additions.
@@ -190,8 +182,6 @@ pub(super) enum DspMultiply {
     MostSignificant { round: bool },
     /// SMMLS, with R: rounded.
     MostSignificantSubtract { round: bool },
-    /// USAD8, USADA8.
-    SumOfDifferences,
 }
 
 /// Multiplications with a 64-bit result.
@@ -241,16 +231,6 @@ pub(super) enum MultiplyAdd {
     FusedNegatedAdd,
     /// VFNMS: `-d + n * m`, rounded once.
     FusedNegatedSubtract,
-}
-
-/// Fixed-point format of a conversion.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct FixedFormat {
-    /// 16 bits instead of 32.
-    pub(super) half: bool,
-    pub(super) unsigned: bool,
-    /// Bits behind the binary point.
-    pub(super) fraction_bits: u8,
 }
 
 /// Whether an instruction sets condition flags.
@@ -339,10 +319,9 @@ pub(super) enum Instruction {
 
     // DSP extension.
     Dsp(DspMultiply, Register, Register, Register, Register),
-    Parallel(ParallelOperation, ParallelFormat, Register, Register, Register),
+    Parallel(ParallelOperation, Register, Register, Register),
     /// QADD, QDADD, QSUB, QDSUB: d, n, m; m - n instead of m + n; n doubled first.
     SaturatingAdd(Register, Register, Register, bool, bool),
-    SelectBytes(Register, Register, Register),
     /// PKHBT or, with the high halfword of n, PKHTB.
     PackHalfwords(Register, Register, Register, bool, Shift, Amount),
     /// SSAT: d, n, number of bits, shift of n.
@@ -350,8 +329,6 @@ pub(super) enum Instruction {
     /// USAT: d, n, number of bits, shift of n.
     SaturateUnsigned(Register, Register, u8, Shift, Amount),
     /// SSAT16 or USAT16: d, n, number of bits, unsigned.
-    SaturateHalves(Register, Register, u8, bool),
-
     // Branches.
     Branch(Offset),
     BranchIf(Condition, Offset),
@@ -451,18 +428,13 @@ pub(super) enum Instruction {
     FloatNegate(FloatRegister, FloatRegister),
     FloatMove(FloatRegister, FloatRegister),
     FloatMoveImmediate(FloatRegister, u32),
-    /// VCMP or, with an exception for a quiet NaN, VCMPE.
-    FloatCompare(FloatRegister, FloatRegister, bool),
-    FloatCompareZero(FloatRegister, bool),
+    /// VCMP or VCMPE.
+    FloatCompare(FloatRegister, FloatRegister),
+    FloatCompareZero(FloatRegister),
     /// VCVT from an integer, which may be unsigned.
     FloatFromInteger(FloatRegister, FloatRegister, bool),
     /// VCVT or VCVTR to an integer: d, m, unsigned, rounded toward zero.
     FloatToInteger(FloatRegister, FloatRegister, bool, bool),
-    FloatFromFixed(FloatRegister, FixedFormat),
-    FloatToFixed(FloatRegister, FixedFormat),
-    /// VCVTB or, with the high halfword, VCVTT.
-    FloatFromHalf(FloatRegister, FloatRegister, bool),
-    FloatToHalf(FloatRegister, FloatRegister, bool),
     /// VLDR: d, n, double word, offset.
     FloatLoad(FloatRegister, Register, bool, i16),
     /// VSTR: d, n, double word, offset.
@@ -476,10 +448,8 @@ pub(super) enum Instruction {
     /// Two consecutive single-precision registers from two core registers.
     FloatPairFromCore(FloatRegister, Register, Register),
     FloatPairToCore(Register, Register, FloatRegister),
-    ReadFloatStatus(Register),
     /// VMRS APSR_nzcv, FPSCR.
     ReadFloatFlags,
-    WriteFloatStatus(Register),
 }
 
 const _: () = assert!(size_of::<Instruction>() == 8);

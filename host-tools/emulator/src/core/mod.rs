@@ -5,7 +5,7 @@
 //!
 //! - [`bus`]: the interface to memories, peripherals and time.
 //! - `instruction`, `decode`, `code_cache`: instructions, decoded once.
-//! - `execute`, `arithmetic`, `dsp`, `float`, `ieee754`: their execution.
+//! - `execute`, `arithmetic`, `dsp`, `float`: their execution.
 //! - `exceptions`: entry, return, faults, lazy floating-point state.
 //! - [`system_control`]: registers of the system control space, pending and active exceptions.
 //! - [`cycles`], [`statistics`]: execution time and where it goes.
@@ -23,7 +23,9 @@
 //! - Interruption in the middle of load and store multiple (the ICI bits are always zero).
 //! - Bit-band aliases, which the [`Bus`] may provide, the debugger, and BKPT as a fault: it stops the core
 //!   with [`Stop::Breakpoint`].
-//! - Instructions whose behaviour the architecture leaves unpredictable: they stop the core with
+//! - Modes and cumulative exceptions of floating point, half precision and fixed point: the FPSCR has flags only.
+//! - SEL and the flags GE of parallel arithmetic, its exchanging and halving forms, SSAT16, USAT16, USAD8: no image uses them.
+//! - Instructions of these, and those whose behaviour the architecture leaves unpredictable: they stop the core with
 //!   [`Stop::Unsupported`].
 
 pub mod bus;
@@ -38,7 +40,6 @@ mod dsp;
 mod exceptions;
 mod execute;
 mod float;
-mod ieee754;
 mod instruction;
 mod state;
 #[cfg(test)]
@@ -86,10 +87,10 @@ pub enum Stop {
         /// Number in the instruction; 0xAB is a semihosting call.
         immediate: u8,
     },
-    /// An instruction whose behaviour the architecture leaves unpredictable: by its encoding, or a
-    /// branch inside an IT block. It was not executed.
+    /// An instruction whose behaviour the architecture leaves unpredictable, by its encoding or as a
+    /// branch inside an IT block, or that is not modelled. It was not executed.
     #[error(
-        "unpredictable instruction {:#06x} {:#06x} at {address:#010x}",
+        "unpredictable or unmodelled instruction {:#06x} {:#06x} at {address:#010x}",
         halfwords[0],
         halfwords[1]
     )]
@@ -397,9 +398,9 @@ impl Core {
         self.state.fpscr
     }
 
-    /// Writes the bits of the FPSCR that exist.
+    /// Writes the flags of the FPSCR.
     pub fn set_fpscr(&mut self, value: u32) {
-        self.state.fpscr = value & state::FPSCR;
+        self.state.fpscr = value & arithmetic::NZCV;
     }
 
     /// Program status register: flags, GE, ITSTATE, Thumb bit, exception number.

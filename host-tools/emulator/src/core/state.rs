@@ -22,9 +22,6 @@ pub(super) const APSR: u32 = 0xF80F_0000;
 /// xPSR bit 24: Thumb state.
 const THUMB: u32 = 1 << 24;
 
-/// Bits of the FPSCR that exist: flags, AHP, DN, FZ, rounding mode, cumulative exceptions.
-pub(super) const FPSCR: u32 = 0xF7C0_009F;
-
 /// Why the core executes nothing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Sleep {

@@ -30,8 +30,9 @@ pub const OPTIONS_AS_SHIPPED: u32 = 0xFFEF_F8AA;
 /// Two wrong bits in a double word; the flag and the address of the first (3.7.7).
 const ECCD: u32 = 1 << 31;
 const ECCD2: u32 = 1 << 29;
-/// Errors of SR that software clears, with EOP.
+/// Errors of SR that software clears, with EOP; those of programming, of which none may be left (3.3.6, 3.3.7).
 const CLEARABLE: u32 = 0xC3FB;
+const ERRORS: u32 = 0x03FA;
 
 /// An operation on the memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -54,8 +55,8 @@ pub struct PowerCut {
 /// What an interrupted operation leaves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Remains {
-    /// As if it had not begun.
-    Nothing,
+    /// As if it had not begun: of a double word, only the lower half was stored.
+    Half,
     /// As if it had ended.
     Everything,
     /// Cells between both states: double words that read with two wrong bits. Of a page, the first half.
@@ -214,14 +215,12 @@ impl Flash {
         (core.0.saturating_sub(1) / step).min(8)
     }
 
-    /// Whether both caches of the accelerator are on.
-    pub fn is_accelerated(&self) -> bool {
-        self.acr >> 9 & 3 == 3
-    }
-
     /// A store of the program into the memory.
     pub(crate) fn store(&mut self, offset: usize, value: u32, bytes: u32, context: &mut Context) {
         let address = BASE.wrapping_sub(context.base) + offset as u32;
+        if self.is_power_lost {
+            return;
+        }
         if self.cr.lock() || !self.cr.pg() || bytes != 4 || self.operation.is_some() {
             context.report(
                 Kind::FlashProgramming,
@@ -232,7 +231,11 @@ impl Flash {
             return;
         }
         match self.half.take() {
-            None if offset.is_multiple_of(WORD) => self.half = Some((offset, value)),
+            None if offset.is_multiple_of(WORD) => {
+                self.half = Some((offset, value));
+                let cut = PowerCut { after: 0, leaves: Remains::Half };
+                self.is_power_lost = self.cut.take_if(|planned| *planned == cut).is_some();
+            }
             Some((first, lower)) if offset == first + 4 => {
                 self.program(first, u64::from(value) << 32 | u64::from(lower), context)
             }
@@ -249,6 +252,9 @@ impl Flash {
 
     fn program(&mut self, offset: usize, value: u64, context: &mut Context) {
         let address = BASE.wrapping_sub(context.base) + offset as u32;
+        if self.has_old_errors(address, context) {
+            return;
+        }
         let is_erased = self.bytes[offset..offset + WORD].iter().all(|byte| *byte == 0xFF);
         // All zeros may be written over anything (3.3.7).
         if !is_erased && value != 0 {
@@ -264,6 +270,22 @@ impl Flash {
             );
         }
         self.begin(Operation::Program(offset, value), context.now + PROGRAM);
+    }
+
+    /// Errors of a previous operation prevent the next (3.3.6, 3.3.7).
+    fn has_old_errors(&mut self, address: u32, context: &mut Context) -> bool {
+        let has_errors = self.sr.0 & ERRORS != 0;
+        if has_errors {
+            let detail = "an operation with errors of a previous one";
+            context.report(Kind::FlashProgramming, address, detail);
+            self.sr.set_pgserr(true);
+        }
+        has_errors
+    }
+
+    /// Sets errors of SR, as a disturbed operation does.
+    pub(crate) fn set_errors(&mut self, errors: u32) {
+        self.sr.0 |= errors & ERRORS;
     }
 
     fn begin(&mut self, operation: Operation, ends: Time) {
@@ -300,7 +322,7 @@ impl Flash {
             Operation::Program(word, _) => word..word + WORD,
         };
         match remains {
-            Remains::Nothing => {}
+            Remains::Half => {}
             Remains::Everything => {
                 self.unreadable.retain(|word| !range.contains(word));
                 match operation {
@@ -387,7 +409,7 @@ impl Flash {
         }
         self.cr = next;
         self.cr.set_strt(false);
-        if next.strt() {
+        if next.strt() && !self.has_old_errors(CR, context) {
             if next.per() {
                 let size = self.page_bytes();
                 let bank = if next.bker() && size == PAGE { BANK } else { 0 };

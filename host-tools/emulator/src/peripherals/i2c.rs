@@ -79,6 +79,8 @@ pub struct I2c {
     is_addressed: bool,
     /// Kernel clock; PE = 0 stops it all the same.
     clock: Frequency,
+    /// By which a stop comes late.
+    stop_delay: Time,
 }
 
 impl I2c {
@@ -99,6 +101,7 @@ impl I2c {
             due: Time::NEVER,
             is_addressed: false,
             clock: Frequency(0),
+            stop_delay: Time::ZERO,
         }
     }
 
@@ -205,7 +208,7 @@ impl I2c {
     fn stop(&mut self, now: Time, delay: Time) {
         self.isr.set_tc(false);
         self.phase = Phase::Stop;
-        self.due = now + self.bits(STOP_BITS, delay);
+        self.due = now + self.bits(STOP_BITS, delay) + self.stop_delay;
     }
 
     fn receive(&mut self, now: Time, delay: Time) {
@@ -241,6 +244,11 @@ impl I2c {
     pub(crate) fn leave_byte(&mut self, byte: u8) {
         self.received = byte;
         self.isr.set_rxne(true);
+    }
+
+    /// Lets each stop come late.
+    pub(crate) fn delay_stops(&mut self, delay: Time) {
+        self.stop_delay = delay;
     }
 
     /// Detects a bus error that is none: the transfer goes on (ES0430 2.15.2).
@@ -387,11 +395,13 @@ impl I2c {
             // The state machine and the flags are reset, both lines let go.
             (true, false) => {
                 let (cr1, timing, clock) = (self.cr1, self.timing, self.clock);
+                let stop_delay = self.stop_delay;
                 let (own_addresses, timeout) = (self.own_addresses, self.timeout);
                 let mut cr2 = self.cr2;
                 cr2.set_start(false);
                 cr2.set_stop(false);
-                *self = Self { cr1, cr2, timing, clock, own_addresses, timeout, ..Self::new() };
+                let kept = Self { cr1, cr2, timing, clock, ..Self::new() };
+                *self = Self { own_addresses, timeout, stop_delay, ..kept };
             }
             _ => {}
         }

@@ -86,6 +86,10 @@ pub struct SimulatedGripper {
     pub pressed_n: [f64; 2],
     /// Test bench that loads the fingertips and moves the gripper.
     pub bench: Option<Rc<BenchProgramme>>,
+    /// Surroundings and gravity without a bench.
+    pub ambient: AmbientConditions,
+    /// In m/s^2, gripper axes.
+    pub gravity: Vector3<f64>,
     /// Peak true grip force in newtons, since its last reset.
     pub peak_n: f64,
     /// Peak force of something around the fingers in newtons, since its last reset.
@@ -124,6 +128,8 @@ impl SimulatedGripper {
             impacts: Vec::new(),
             pressed_n: [0.0; 2],
             bench: None,
+            ambient: AmbientConditions::default(),
+            gravity: Vector3::new(0.0, 0.0, GRAVITY),
             peak_n: 0.0,
             outward_peak_n: 0.0,
             last_order_us: 0,
@@ -153,6 +159,8 @@ impl SimulatedGripper {
             impacts: self.impacts.clone(),
             pressed_n: self.pressed_n,
             bench: self.bench.clone(),
+            ambient: self.ambient,
+            gravity: self.gravity,
             peak_n: self.peak_n,
             outward_peak_n: self.outward_peak_n,
             last_order_us: self.last_order_us,
@@ -224,7 +232,7 @@ impl SimulatedGripper {
             let [outwards_n, opposite_n] = self.pressed_n;
             first.iter_mut().for_each(|[lateral_n, _]| *lateral_n += 0.5 * outwards_n);
             second.iter_mut().for_each(|[lateral_n, _]| *lateral_n -= 0.5 * opposite_n);
-            self.specific_force = Vector3::new(0.0, 0.0, GRAVITY);
+            self.specific_force = self.gravity;
             if let Some(bench) = &self.bench {
                 for (sensor, force_n) in forces_n.iter_mut().enumerate() {
                     let load_n = bench.load_n(sensor, time_s);
@@ -280,7 +288,7 @@ impl SimulatedGripper {
         let time_s = plant.time_s();
         let (ambient, rate_deg_s) = match &self.bench {
             Some(bench) => (bench.ambient(time_s), bench.rate_deg_s(time_s)),
-            None => (AmbientConditions::default(), [0.0; 3]),
+            None => (self.ambient, [0.0; 3]),
         };
         let readings = self.tips.sample(&drive, &ambient, time_s);
         let inertial = Some(self.inertial.sample(self.specific_force.into(), rate_deg_s));

@@ -9,8 +9,11 @@ use crate::closed_loop::coupling::{PowerStagePins, RotorSensor, SharedGripper};
 use anyhow::{Context, Result};
 use emulator::log::LogLine;
 use emulator::peripherals::flash::BANK;
+use emulator::peripherals::gpio::Pin;
 use emulator::wiring::Wiring;
 use emulator::{Chip, CycleModel, Devices, Frequency, Image, Options, Time};
+use firmware::board::selected::table::{self, Function};
+use firmware::config::constants::AMPLIFIER_SETTLING;
 use firmware::grip::redundant_copy::COPY_WORDS;
 use firmware::parameters::Parameters;
 use firmware::parameters::schema::id;
@@ -59,6 +62,26 @@ impl ChipConditions {
     };
 }
 
+/// The circuit board by the table of the firmware's board.
+pub fn wiring() -> Wiring {
+    Wiring {
+        sensor_buses: [pins(&table::FIRST_BUS), pins(&table::SECOND_BUS)],
+        can: pins(&table::CAN),
+        serial: pins(&table::SERIAL),
+        encoder: pins(&table::ENCODER),
+        inertial: pins(&table::INERTIAL),
+        bridges: [pins(&table::HIGH_SIDES), pins(&table::LOW_SIDES)],
+        gate_fault: pins::<1>(&table::BREAK)[0],
+        analog: pins(&table::ANALOG),
+        thermistors: pins(&table::THERMISTORS),
+        crystal: Frequency(table::CRYSTAL_HZ),
+    }
+}
+
+fn pins<const N: usize>(function: &Function) -> [Pin; N] {
+    std::array::from_fn(|index| Pin::named(function.pins[index].1))
+}
+
 /// A board that runs an image.
 pub struct EmulatedBoard {
     /// Emulated chip.
@@ -78,7 +101,7 @@ impl EmulatedBoard {
         world: Box<dyn World>,
         gripper: SharedGripper,
     ) -> Result<Self> {
-        Self::wired(image, conditions, Wiring::NUCLEO_G474, world, gripper)
+        Self::wired(image, conditions, wiring(), world, gripper)
     }
 
     /// As [`Self::start`], on another circuit board.
@@ -129,8 +152,8 @@ impl EmulatedBoard {
             wiring,
             i2c_delay: conditions.i2c_delay,
             lsi: conditions.lsi,
+            amplifier_settling: Time::from_ns((1e3 * AMPLIFIER_SETTLING.value) as u64),
             seed: conditions.seed,
-            ..Options::default()
         };
         let chip = Chip::new(image, conditions.model, options, devices)
             .context("the image does not start")?;

@@ -1,9 +1,7 @@
 //! Floating-point extension, FPv4-SP (DDI0403E A6).
 
-use crate::core::decode::{Decoded, Invalid, bit, bits, general, not_sp, require};
-use crate::core::instruction::{
-    FixedFormat, FloatRegister, Instruction, MultipleMode, MultiplyAdd, Register,
-};
+use crate::core::decode::{Decoded, Invalid, bit, bits, general, require};
+use crate::core::instruction::{FloatRegister, Instruction, MultipleMode, MultiplyAdd, Register};
 
 /// Any instruction of the coprocessor space.
 pub(super) fn decode(h: u32, h2: u32) -> Decoded {
@@ -87,33 +85,18 @@ fn one_operand(h: u32, h2: u32, d: FloatRegister, m: FloatRegister) -> Decoded {
         0b0000 => Instruction::FloatMove(d, m),
         0b0001 if top => Instruction::FloatSquareRoot(d, m),
         0b0001 => Instruction::FloatNegate(d, m),
-        0b0010 => Instruction::FloatFromHalf(d, m, top),
-        0b0011 => Instruction::FloatToHalf(d, m, top),
-        0b0100 => Instruction::FloatCompare(d, m, top),
+        0b0100 => Instruction::FloatCompare(d, m),
         0b0101 => {
             require(bits(h2, 0, 4) == 0 && !bit(h2, 5))?;
-            Instruction::FloatCompareZero(d, top)
+            Instruction::FloatCompareZero(d)
         }
         0b1000 => Instruction::FloatFromInteger(d, m, !top),
         0b1100 | 0b1101 => {
             let unsigned = operation == 0b1100;
             Instruction::FloatToInteger(d, m, unsigned, top)
         }
-        0b1010 | 0b1011 | 0b1110 | 0b1111 => {
-            let size = if top { 32 } else { 16 };
-            let distance = bits(h2, 0, 4) << 1 | bits(h2, 5, 1);
-            require(distance <= size)?;
-            let format = FixedFormat {
-                half: !top,
-                unsigned: bit(operation, 0),
-                fraction_bits: (size - distance) as u8,
-            };
-            if bit(operation, 2) {
-                Instruction::FloatToFixed(d, format)
-            } else {
-                Instruction::FloatFromFixed(d, format)
-            }
-        }
+        // Half precision and fixed point.
+        0b0010 | 0b0011 | 0b1010 | 0b1011 | 0b1110 | 0b1111 => return Err(Invalid::Unpredictable),
         _ => return Err(Invalid::Undefined),
     })
 }
@@ -191,12 +174,10 @@ fn core_register(h: u32, h2: u32) -> Decoded {
         0b111 => {
             // The FPSCR is the only system register of this unit that these instructions reach.
             require(bits(h, 0, 4) == 1 && !bit(h2, 7))?;
-            let t = not_sp(h2, 12)?;
-            Ok(match (to_core, t) {
-                (true, Register::PC) => Instruction::ReadFloatFlags,
-                (true, t) => Instruction::ReadFloatStatus(t),
-                (false, _) => Instruction::WriteFloatStatus(general(h2, 12)?),
-            })
+            // The modes, and the cumulative exceptions, are not modelled.
+            let reads_flags = to_core && Register::field(h2, 12) == Register::PC;
+            require(reads_flags)?;
+            Ok(Instruction::ReadFloatFlags)
         }
         _ => Err(Invalid::Undefined),
     }

@@ -266,7 +266,7 @@ fn saturate(h: u32, h2: u32, amount: u8) -> Decoded {
     let bits_of = |count: u32| (bits(h2, 0, count) + !unsigned as u32) as u8;
     if bit(h, 5) && amount == 0 {
         require(!bit(h2, 4))?;
-        return Ok(Instruction::SaturateHalves(d, n, bits_of(4), unsigned));
+        return Err(Invalid::Unpredictable);
     }
     let shift = if bit(h, 5) { Shift::ArithmeticRight } else { Shift::Left };
     Ok(if unsigned {
@@ -398,28 +398,27 @@ fn extend(h: u32, h2: u32) -> Decoded {
     })
 }
 
-/// A5.3.13 and A5.3.14.
+/// A5.3.13 and A5.3.14; exchanging and halving ones are not modelled.
 fn parallel(h: u32, h2: u32) -> Decoded {
-    let operation = match bits(h, 4, 3) {
-        0b000 => ParallelOperation::Add8,
-        0b001 => ParallelOperation::Add16,
-        0b010 => ParallelOperation::AddSubtractExchange,
-        0b100 => ParallelOperation::Subtract8,
-        0b101 => ParallelOperation::Subtract16,
-        0b110 => ParallelOperation::SubtractAddExchange,
+    let (subtract, width) = match bits(h, 4, 3) {
+        0b000 => (false, 8),
+        0b001 => (false, 16),
+        0b100 => (true, 8),
+        0b101 => (true, 16),
+        0b010 | 0b110 => return Err(Invalid::Unpredictable),
         _ => return Err(Invalid::Undefined),
     };
     let format = match bits(h2, 4, 3) {
         0b000 => ParallelFormat::Signed,
         0b001 => ParallelFormat::SignedSaturating,
-        0b010 => ParallelFormat::SignedHalving,
         0b100 => ParallelFormat::Unsigned,
         0b101 => ParallelFormat::UnsignedSaturating,
-        0b110 => ParallelFormat::UnsignedHalving,
+        0b010 | 0b110 => return Err(Invalid::Unpredictable),
         _ => return Err(Invalid::Undefined),
     };
+    let operation = ParallelOperation { format, width, subtract };
     let (d, n, m) = (general(h2, 8)?, general(h, 0)?, general(h2, 0)?);
-    Ok(Instruction::Parallel(operation, format, d, n, m))
+    Ok(Instruction::Parallel(operation, d, n, m))
 }
 
 /// A5.3.15.
@@ -437,7 +436,7 @@ fn miscellaneous(h: u32, h2: u32) -> Decoded {
         (0b01, 0b01) => Instruction::ReverseHalfwords(d, m),
         (0b01, 0b10) => Instruction::ReverseBits(d, m),
         (0b01, _) => Instruction::ReverseSignedHalf(d, m),
-        (0b10, _) => Instruction::SelectBytes(d, n, m),
+        (0b10, _) => return Err(Invalid::Unpredictable),
         (_, _) => Instruction::CountLeadingZeros(d, m),
     })
 }
@@ -453,7 +452,7 @@ fn multiply(h: u32, h2: u32) -> Decoded {
         (0b100, 0b0000 | 0b0001) => Some(DspMultiply::DualSubtract { exchange: m_top }),
         (0b101, 0b0000 | 0b0001) => Some(DspMultiply::MostSignificant { round: m_top }),
         (0b110, 0b0000 | 0b0001) => Some(DspMultiply::MostSignificantSubtract { round: m_top }),
-        (0b111, 0b0000) => Some(DspMultiply::SumOfDifferences),
+        (0b111, 0b0000) => return Err(Invalid::Unpredictable),
         _ => return Err(Invalid::Undefined),
     };
     let (d, n, m) = (general(h2, 8)?, general(h, 0)?, general(h2, 0)?);

@@ -21,9 +21,9 @@ use crate::core::arithmetic::{
     shift_with_carry, sign_extend, subtract,
 };
 use crate::core::bus::Bus;
-use crate::core::float::SIGN;
+use crate::core::float::{self, SIGN};
 use crate::core::instruction::{IndexMode, Instruction, Register};
-use crate::core::state::{FPSCR, Fault, LR, PC, SP, State, Trap};
+use crate::core::state::{Fault, LR, PC, SP, State, Trap};
 use data::field_mask;
 
 impl State {
@@ -205,13 +205,12 @@ impl State {
             I::Dsp(operation, d, n, m, a) => {
                 self.dsp_multiply(operation, d, self.read(n), self.read(m), a);
             }
-            I::Parallel(operation, format, d, n, m) => {
-                self.parallel(operation, format, d, self.read(n), self.read(m));
+            I::Parallel(operation, d, n, m) => {
+                self.parallel(operation, d, self.read(n), self.read(m));
             }
             I::SaturatingAdd(d, n, m, subtract, double) => {
                 self.saturating_add(d, self.read(n), self.read(m), subtract, double);
             }
-            I::SelectBytes(d, n, m) => self.select_bytes(d, self.read(n), self.read(m)),
             I::PackHalfwords(d, n, m, top, shift, amount) => {
                 let operand = shift_with_carry(self.read(m), shift, amount as u32, self.carry()).0;
                 self.pack_halfwords(d, self.read(n), operand, top);
@@ -223,9 +222,6 @@ impl State {
             I::SaturateUnsigned(d, n, bits, shift, amount) => {
                 let operand = shift_with_carry(self.read(n), shift, amount as u32, self.carry()).0;
                 self.saturate_unsigned(d, operand, bits as u32);
-            }
-            I::SaturateHalves(d, n, bits, unsigned) => {
-                self.saturate_halves(d, self.read(n), bits as u32, unsigned);
             }
 
             I::Branch(offset) => return self.branch_by(bus, offset),
@@ -427,35 +423,35 @@ impl State {
 
             I::FloatAdd(d, n, m) => {
                 self.check_float(bus)?;
-                self.s[d.index()] = self.float_add(self.s[n.index()], self.s[m.index()]);
+                self.s[d.index()] = float::add(self.s[n.index()], self.s[m.index()]);
             }
             I::FloatSubtract(d, n, m) => {
                 self.check_float(bus)?;
-                self.s[d.index()] = self.float_subtract(self.s[n.index()], self.s[m.index()]);
+                self.s[d.index()] = float::subtract(self.s[n.index()], self.s[m.index()]);
             }
             I::FloatMultiply(d, n, m) => {
                 self.check_float(bus)?;
-                self.s[d.index()] = self.float_multiply(self.s[n.index()], self.s[m.index()]);
+                self.s[d.index()] = float::multiply(self.s[n.index()], self.s[m.index()]);
             }
             I::FloatNegatedMultiply(d, n, m) => {
                 self.check_float(bus)?;
-                let product = self.float_multiply(self.s[n.index()], self.s[m.index()]);
+                let product = float::multiply(self.s[n.index()], self.s[m.index()]);
                 self.s[d.index()] = product ^ SIGN;
             }
             I::FloatDivide(d, n, m) => {
                 self.check_float(bus)?;
-                self.s[d.index()] = self.float_divide(self.s[n.index()], self.s[m.index()]);
+                self.s[d.index()] = float::divide(self.s[n.index()], self.s[m.index()]);
             }
             I::FloatMultiplyAdd(d, n, m) => {
                 self.check_float(bus)?;
-                let product = self.float_multiply(self.s[n.index()], self.s[m.index()]);
-                self.s[d.index()] = self.float_add(self.s[d.index()], product);
+                let product = float::multiply(self.s[n.index()], self.s[m.index()]);
+                self.s[d.index()] = float::add(self.s[d.index()], product);
             }
             I::FloatMultiplySubtract(d, n, m) => {
                 self.check_float(bus)?;
-                let product = self.float_multiply(self.s[n.index()], self.s[m.index()]);
+                let product = float::multiply(self.s[n.index()], self.s[m.index()]);
                 let negated = product ^ SIGN;
-                self.s[d.index()] = self.float_add(self.s[d.index()], negated);
+                self.s[d.index()] = float::add(self.s[d.index()], negated);
             }
             I::FloatMultiplyAddOther(operation, d, n, m) => {
                 self.check_float(bus)?;
@@ -463,7 +459,7 @@ impl State {
             }
             I::FloatSquareRoot(d, m) => {
                 self.check_float(bus)?;
-                self.s[d.index()] = self.float_square_root(self.s[m.index()]);
+                self.s[d.index()] = float::square_root(self.s[m.index()]);
             }
             I::FloatAbsolute(d, m) => {
                 self.check_float(bus)?;
@@ -481,39 +477,22 @@ impl State {
                 self.check_float(bus)?;
                 self.s[d.index()] = value;
             }
-            I::FloatCompare(d, m, signal_quiet) => {
+            I::FloatCompare(d, m) => {
                 self.check_float(bus)?;
-                self.float_compare(self.s[d.index()], self.s[m.index()], signal_quiet);
+                self.float_compare(self.s[d.index()], self.s[m.index()]);
             }
-            I::FloatCompareZero(d, signal_quiet) => {
+            I::FloatCompareZero(d) => {
                 self.check_float(bus)?;
-                self.float_compare(self.s[d.index()], 0, signal_quiet);
+                self.float_compare(self.s[d.index()], 0);
             }
             I::FloatFromInteger(d, m, unsigned) => {
                 self.check_float(bus)?;
-                self.s[d.index()] = self.float_from_integer(self.s[m.index()], unsigned);
+                self.s[d.index()] = float::from_integer(self.s[m.index()], unsigned);
             }
             I::FloatToInteger(d, m, unsigned, toward_zero) => {
                 self.check_float(bus)?;
                 let operand = self.s[m.index()];
-                self.s[d.index()] = self.float_to_integer(operand, unsigned, toward_zero);
-            }
-            I::FloatFromFixed(d, format) => {
-                self.check_float(bus)?;
-                self.s[d.index()] = self.float_from_fixed(self.s[d.index()], format);
-            }
-            I::FloatToFixed(d, format) => {
-                self.check_float(bus)?;
-                self.s[d.index()] = self.float_to_fixed(self.s[d.index()], format);
-            }
-            I::FloatFromHalf(d, m, top) => {
-                self.check_float(bus)?;
-                self.s[d.index()] = self.float_from_half(self.s[m.index()], top);
-            }
-            I::FloatToHalf(d, m, top) => {
-                self.check_float(bus)?;
-                let operand = self.s[m.index()];
-                self.s[d.index()] = self.float_to_half(self.s[d.index()], operand, top);
+                self.s[d.index()] = float::to_integer(operand, unsigned, toward_zero);
             }
             I::FloatLoad(d, n, double, offset) => {
                 self.check_float(bus)?;
@@ -551,17 +530,9 @@ impl State {
                 self.write(t, self.s[s.index()]);
                 self.write(t2, self.s[(s.index() + 1) & 31]);
             }
-            I::ReadFloatStatus(t) => {
-                self.check_float(bus)?;
-                self.write(t, self.fpscr);
-            }
             I::ReadFloatFlags => {
                 self.check_float(bus)?;
                 self.set_nzcv(self.fpscr & NZCV);
-            }
-            I::WriteFloatStatus(t) => {
-                self.check_float(bus)?;
-                self.fpscr = self.read(t) & FPSCR;
             }
         }
         Ok(next)

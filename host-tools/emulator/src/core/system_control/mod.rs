@@ -58,7 +58,6 @@ const DEMCR: u32 = 0xE000_EDFC;
 // Floating-point extension.
 const FPCCR: u32 = 0xE000_EF34;
 const FPCAR: u32 = 0xE000_EF38;
-const FPDSCR: u32 = 0xE000_EF3C;
 const MVFR0: u32 = 0xE000_EF40;
 const MVFR1: u32 = 0xE000_EF44;
 
@@ -97,7 +96,6 @@ const CCR_STACK_ALIGNMENT: u32 = 1 << 9;
 
 const SCR_BITS: u32 = 0x16;
 const SCR_SLEEP_ON_EXIT: u32 = 1 << 1;
-const SCR_SLEEP_DEEP: u32 = 1 << 2;
 const SCR_EVENT_ON_PENDING: u32 = 1 << 4;
 
 const AIRCR_KEY: u32 = 0x05FA;
@@ -135,8 +133,6 @@ const FPCCR_BITS: u32 = AUTOMATIC_STATE
     | THREAD_CONTEXT
     | USER_CONTEXT
     | LAZY_ACTIVE;
-/// Modes of the FPSCR that a new context takes from the FPDSCR: AHP, DN, FZ, rounding mode.
-pub(super) const DEFAULT_STATUS: u32 = 0x07C0_0000;
 
 /// Access of the coprocessors 10 and 11.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -183,7 +179,6 @@ pub struct SystemControl {
     actlr: u32,
     pub(super) fpccr: u32,
     pub(super) fpcar: u32,
-    fpdscr: u32,
 
     demcr: u32,
     dwt_ctrl: u32,
@@ -230,7 +225,6 @@ impl SystemControl {
             actlr: 0,
             fpccr: AUTOMATIC_STATE | LAZY_STATE,
             fpcar: 0,
-            fpdscr: 0,
             demcr: 0,
             dwt_ctrl: 0,
             pended: [0; EXCEPTIONS],
@@ -283,7 +277,6 @@ impl SystemControl {
             DEMCR => self.demcr,
             FPCCR => self.fpccr,
             FPCAR => self.fpcar,
-            FPDSCR => self.fpdscr,
             MVFR0 => MVFR0_VALUE,
             MVFR1 => MVFR1_VALUE,
             _ => return None,
@@ -363,7 +356,6 @@ impl SystemControl {
             CPACR => self.cpacr = value & 0x00F0_0000,
             FPCCR => self.fpccr = value & FPCCR_BITS,
             FPCAR => self.fpcar = value & !7,
-            FPDSCR => self.fpdscr = value & DEFAULT_STATUS,
             _ => return false,
         }
         true
@@ -488,11 +480,6 @@ impl SystemControl {
         self.bfar
     }
 
-    /// Whether a sleep is a deep sleep (SCR.SLEEPDEEP).
-    pub fn sleep_deep(&self) -> bool {
-        self.scr & SCR_SLEEP_DEEP != 0
-    }
-
     /// Cycle counter of the DWT, which pauses while the core sleeps, at the last access of the core to the system control space, or at the
     /// end of [`Core::run`](super::Core::run).
     pub fn cycle_count(&self) -> u32 {
@@ -571,10 +558,6 @@ impl SystemControl {
             0b0101 => FloatAccess::Privileged,
             _ => FloatAccess::Denied,
         }
-    }
-
-    pub(super) fn default_float_status(&self) -> u32 {
-        self.fpdscr
     }
 }
 

@@ -6,7 +6,6 @@ use crate::core::tests::{END, Machine, PROGRAM, SRAM, STACK};
 const HANDLERS: u32 = PROGRAM + 0x400;
 const FPCCR: u32 = 0xE000_EF34;
 const FPCAR: u32 = 0xE000_EF38;
-const FPDSCR: u32 = 0xE000_EF3C;
 const LSPACT: u32 = 1;
 
 /// First word of an extended frame below the initial stack.
@@ -91,17 +90,17 @@ fn reservation_records_which_faults_are_possible() {
 #[test]
 fn first_float_instruction_of_the_handler_preserves_the_context() {
     let mut machine = with_context(USES_FLOAT);
-    machine.core.set_fpscr(0x2000_0010);
+    machine.core.set_fpscr(0x2000_0000);
     interrupt(&mut machine, 0);
     machine.step(1);
     assert_eq!(machine.system_read(FPCCR) & LSPACT, 0);
     let saved: Vec<u32> = (0..17).map(|k| machine.word(FRAME + 0x20 + 4 * k)).collect();
     assert_eq!(saved[..16], (0x100..0x110).collect::<Vec<u32>>());
-    assert_eq!((saved[16], machine.core.control()), (0x2000_0010, 4));
+    assert_eq!((saved[16], machine.core.control()), (0x2000_0000, 4));
     assert_eq!(machine.core.float_register(0), 0x103);
     machine.finish();
     assert_context(&machine);
-    assert_eq!(machine.core.fpscr(), 0x2000_0010);
+    assert_eq!(machine.core.fpscr(), 0x2000_0000);
 }
 
 #[test]
@@ -177,19 +176,6 @@ fn without_a_context_the_frame_is_basic() {
     assert_eq!(machine.core.control(), 4);
     machine.finish();
     assert_eq!(machine.core.control(), 0);
-}
-
-#[test]
-fn new_context_takes_its_modes_from_the_fpdscr() {
-    let mut machine = with_context(USES_FLOAT);
-    machine.system_write(FPDSCR, u32::MAX);
-    assert_eq!(machine.system_read(FPDSCR), 0x07C0_0000);
-    machine.core.set_fpscr(1 << 24);
-    interrupt(&mut machine, 0);
-    machine.step(1);
-    assert_eq!(machine.core.fpscr(), 0x07C0_0000);
-    machine.finish();
-    assert_eq!(machine.core.fpscr(), 1 << 24);
 }
 
 #[test]

@@ -10,8 +10,6 @@ mod dsp;
 mod exceptions;
 mod faults;
 mod float;
-mod float_conversion;
-mod float_reference;
 mod lazy_float;
 mod sleep;
 mod system;
