@@ -1,4 +1,4 @@
-//! The reference board, a NUCLEO-G474RE: [`table`] has its pins and what the board must provide (`firmware/BOARD.md`).
+//! The reference board, a NUCLEO-G474RE: `table.rs` has its pins and what the board must provide (`firmware/BOARD.md`).
 
 #[cfg(target_os = "none")]
 mod calibration_memory;

@@ -7,8 +7,7 @@
 //! - [`run`]: one fault in one state, and the transitions that the state tables allow.
 //! - [`campaign`]: all faults on all cores; hours without faults for the false alarm rate.
 //!
-//! Faults that need hardware are listed in [`injection::HARDWARE_ONLY`], those that need the image in
-//! [`injection::COVERED_BY_OTHER_TESTS`]; neither is counted.
+//! Phase over-current at the gate drivers and a wrong clock need hardware. `host-tools/tests/emulation` has those that need the image.
 
 pub mod campaign;
 pub mod contact_force;
