@@ -152,12 +152,17 @@ impl Adc {
             0 => (self.clock(context), PRESCALERS[(self.common as usize >> 18 & 15).min(11)]),
             mode => (context.clocks.core, 1 << (mode - 1)),
         };
-        clock.cycles(count * divisor).ps().checked_div(2).map_or(Time::NEVER, Time::from_ps)
+        match clock.cycles(count * divisor) {
+            Time::NEVER => Time::NEVER,
+            time => Time::from_ps(time.ps() / 2),
+        }
     }
 
-    /// Whether it converts.
+    /// Whether it converts; a converter whose clock has stopped does not.
     pub(crate) fn is_converting(&self) -> bool {
-        matches!(self.work, Some((_, Work::Sample(_) | Work::Convert | Work::Regular(_))))
+        let is_conversion =
+            |work: &Work| matches!(work, Work::Sample(_) | Work::Convert | Work::Regular(_));
+        self.work.as_ref().is_some_and(|(ends, work)| *ends != Time::NEVER && is_conversion(work))
     }
 
     /// A conversion begins.
