@@ -1216,6 +1216,7 @@ impl Soc {
         for (i2c, clock) in self.i2c.iter_mut().zip(clocks.i2c) {
             i2c.set_clock(clock);
         }
+        self.tim1.set_clock(clocks.apb2_timers, self.now);
         self.usart.set_clock(clocks.usart2);
         self.fdcan.set_clock(clocks.fdcan);
         let limit = self.pwr.limit();

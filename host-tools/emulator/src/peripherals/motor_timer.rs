@@ -136,6 +136,21 @@ impl MotorTimer {
         self.next.map_or(Time::NEVER, |(time, _)| time)
     }
 
+    /// Another clock from now on; the counter keeps its value.
+    pub(crate) fn set_clock(&mut self, clock: Frequency, now: Time) {
+        let counts = now.since(self.since).ps().checked_div(self.clock.period().ps()).unwrap_or(0);
+        self.clock = clock;
+        if let Some((_, moment)) = self.next {
+            let cycles = match moment {
+                Moment::Trigger => self.compares[3],
+                Moment::Top => self.reload,
+                Moment::Bottom => 2 * self.reload,
+            };
+            self.since = now - clock.cycles(counts);
+            self.next = Some((self.since + clock.cycles(u64::from(cycles)), moment));
+        }
+    }
+
     /// What happens now; the next one is then due.
     pub(crate) fn advance(&mut self, now: Time) -> Option<Moment> {
         let (time, moment) = self.next.filter(|(time, _)| *time <= now)?;
