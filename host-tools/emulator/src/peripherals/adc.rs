@@ -152,17 +152,12 @@ impl Adc {
             0 => (self.clock(context), PRESCALERS[(self.common as usize >> 18 & 15).min(11)]),
             mode => (context.clocks.core, 1 << (mode - 1)),
         };
-        match clock.cycles(count * divisor) {
-            Time::NEVER => Time::NEVER,
-            time => Time::from_ps(time.ps() / 2),
-        }
+        clock.cycles(count * divisor).ps().checked_div(2).map_or(Time::NEVER, Time::from_ps)
     }
 
-    /// Whether it converts; a converter whose clock has stopped does not.
+    /// Whether it converts.
     pub(crate) fn is_converting(&self) -> bool {
-        let is_conversion =
-            |work: &Work| matches!(work, Work::Sample(_) | Work::Convert | Work::Regular(_));
-        self.work.as_ref().is_some_and(|(ends, work)| *ends != Time::NEVER && is_conversion(work))
+        matches!(self.work, Some((_, Work::Sample(_) | Work::Convert | Work::Regular(_))))
     }
 
     /// A conversion begins.
