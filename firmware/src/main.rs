@@ -22,7 +22,7 @@ fn main() {
     for constant in firmware::config::constants::ALL {
         println!(
             "{} {:<26} {:>9} {:<6} {}",
-            if constant.assumed { "*" } else { " " },
+            if constant.is_assumed() { "*" } else { " " },
             constant.name,
             constant.value,
             constant.unit,

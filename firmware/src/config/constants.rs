@@ -1,9 +1,31 @@
 //! Design constants of the gripper with their sources.
 //!
-//! A constant has a unit, a source, and a flag *assumed*: a value that the paper
+//! A constant has a unit, a source, and a [`Basis`]; *assumed* is a value that the paper
 //! (Tanaka et al., "Mechanisms and Computational Design of Multi-Modal End-Effector with Force
 //! Sensing using Gated Networks") does not state and that was not confirmed on a board.
 //! The firmware binary prints them on a computer.
+
+/// What a statement rests on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Basis {
+    /// Neither stated nor measured for this gripper.
+    Assumed,
+    /// By the paper, a data sheet or a manual.
+    Stated,
+    /// On a board: its source is which board, and how.
+    Measured,
+}
+
+impl Basis {
+    /// Name for display.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Assumed => "assumed",
+            Self::Stated => "stated",
+            Self::Measured => "measured",
+        }
+    }
+}
 
 /// A design constant with its source.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -16,8 +38,15 @@ pub struct Constant {
     pub unit: &'static str,
     /// Where the number comes from.
     pub source: &'static str,
+    /// What it rests on.
+    pub basis: Basis,
+}
+
+impl Constant {
     /// Whether it is neither stated nor measured for this gripper.
-    pub assumed: bool,
+    pub const fn is_assumed(&self) -> bool {
+        matches!(self.basis, Basis::Assumed)
+    }
 }
 
 /// A constant with a stated value.
@@ -27,7 +56,7 @@ pub const fn stated(
     unit: &'static str,
     source: &'static str,
 ) -> Constant {
-    Constant { name, value, unit, source, assumed: false }
+    Constant { name, value, unit, source, basis: Basis::Stated }
 }
 
 /// A constant with an assumed value.
@@ -37,7 +66,7 @@ pub const fn assumed(
     unit: &'static str,
     source: &'static str,
 ) -> Constant {
-    Constant { name, value, unit, source, assumed: true }
+    Constant { name, value, unit, source, basis: Basis::Assumed }
 }
 
 /// Diameter of the axially magnetised cylinder.

@@ -5,6 +5,9 @@
 
 use crate::config::constants;
 
+/// [`DetectionLimits::frozen_axes`] of the gripper.
+pub const FROZEN_AXES: u8 = 12;
+
 /// Thresholds of the detectors of sensing and communication.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct DetectionLimits {
@@ -13,10 +16,10 @@ pub struct DetectionLimits {
     /// Axes with repeated words, summed over consecutive readings, until a sensor is frozen: four readings after the last
     /// change. Five equal words in a row have, for Gaussian noise of s counts, a probability of 1 in 5^(1/2) (2 pi)^2 s^4 per
     /// axis: 6 in 10^12 readings for three axes, one in 460 days of four sensors. With one reading less it would be one a day.
-    /// 255: never.
-    pub frozen_axes: u8,
-    /// Read-backs in a row with a changed configuration until a sensor is lost; 255: never, and no recovery of its bus either.
-    pub config_mismatches: u8,
+    /// `None`: never.
+    pub frozen_axes: Option<u8>,
+    /// Read-backs in a row with a changed configuration until a sensor is lost; `None`: never, and no recovery of its bus either.
+    pub config_mismatches: Option<u8>,
     /// Failed transfers in a row until a bus is recovered.
     pub failed_transfers: u8,
     /// Ticks in a row with a line stuck low until a fault.
@@ -41,8 +44,8 @@ impl DetectionLimits {
     /// Thresholds of the gripper.
     pub const GRIPPER: Self = Self {
         lost_ticks: 2,
-        frozen_axes: 12,
-        config_mismatches: 2,
+        frozen_axes: Some(FROZEN_AXES),
+        config_mismatches: Some(2),
         failed_transfers: 3,
         stuck_ticks: 4,
         saturated_ticks: 1,

@@ -49,12 +49,10 @@ impl SensorMonitor {
         let counts = samples.angle.ok();
         let is_repeated = counts.is_some() && counts == self.counts;
         count(&mut self.repeated_periods, is_repeated, 1);
-        // Below the limit that means none.
-        self.repeated_periods = self.repeated_periods.min(u16::MAX - 1);
         self.counts = counts;
         if self.sum_periods >= limits.sum_periods {
             Err(Trip::CurrentSense)
-        } else if self.repeated_periods >= limits.stuck_periods {
+        } else if limits.stuck_periods.is_some_and(|stuck| self.repeated_periods >= stuck) {
             Err(Trip::Encoder)
         } else {
             Ok(())

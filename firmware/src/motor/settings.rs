@@ -97,6 +97,9 @@ impl IdentifiedMotor {
     };
 }
 
+/// [`MotorLimits::stuck_periods`] of the gripper.
+pub const STUCK_PERIODS: u16 = 36;
+
 /// Limits of motor control.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotorLimits {
@@ -131,8 +134,8 @@ pub struct MotorLimits {
     /// Consecutive missing or implausible angles that are bridged: half a millisecond.
     pub bridged_angles: u8,
     /// Consecutive equal angle counts that trip. With noise of 0.9 counts a working sensor repeats three times in
-    /// ten, and 36 times in a row once in 10^19. `u16::MAX`: none.
-    pub stuck_periods: u16,
+    /// ten, and 36 times in a row once in 10^19. `None`: none trips.
+    pub stuck_periods: Option<u16>,
     /// Maximum voltage residual in volts.
     pub unexplained_v: f32,
     /// Addition to it, as a fraction of the induced voltage.
@@ -173,7 +176,7 @@ impl MotorLimits {
         sum_a: 0.8,
         sum_periods: 10,
         bridged_angles: 10,
-        stuck_periods: 36,
+        stuck_periods: Some(STUCK_PERIODS),
         unexplained_v: 2.5,
         unexplained: 0.25,
         unexplained_periods: 20,

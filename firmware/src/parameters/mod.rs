@@ -168,7 +168,7 @@ impl Parameters {
             if self.is_on_bench() { MotorLimits::bench(&settings.screw) } else { settings.limits };
         settings.limits = limits.for_torque_constant(self.torque_nm_a());
         if !self.detects(detector::STUCK) {
-            settings.limits.stuck_periods = u16::MAX;
+            settings.limits.stuck_periods = None;
         }
         settings.wiring = MotorWiring {
             offset: (self.value::<{ id::ROTOR_OFFSET }>() as u32) << OFFSET_SHIFT,
@@ -186,10 +186,10 @@ impl Parameters {
     pub fn detection_limits(&self) -> DetectionLimits {
         let mut limits = DetectionLimits::GRIPPER;
         if !self.detects(detector::FROZEN) {
-            limits.frozen_axes = u8::MAX;
+            limits.frozen_axes = None;
         }
         if !self.detects(detector::CONFIGURATION) {
-            limits.config_mismatches = u8::MAX;
+            limits.config_mismatches = None;
         }
         limits
     }

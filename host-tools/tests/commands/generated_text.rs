@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
-use firmware::board::selected::table::{Basis, FUNCTIONS, RANGES, REQUIREMENTS, VALUES};
+use firmware::board::selected::table::{FUNCTIONS, RANGES, REQUIREMENTS, VALUES};
 
 /// Compares what is between two marks of a document of this repository with what it must be; with UPDATE_README, writes it.
 pub fn assert_generated(document: &str, [begin, end]: [&str; 2], text: &str) {
@@ -30,17 +30,12 @@ fn bring_up_page_lists_the_steps() {
 
 #[test]
 fn board_page_lists_pins_values_and_requirements() {
-    let basis = |basis| match basis {
-        Basis::Assumed => "assumed",
-        Basis::Stated => "stated",
-        Basis::Measured => "measured",
-    };
     let rule = |columns| format!("{}|\n", "| --- ".repeat(columns));
     let mut text = format!("| function | pins | level | basis | source |\n{}", rule(5));
     for row in FUNCTIONS {
         let pins: Vec<_> = row.pins.iter().map(|(signal, pin)| format!("{signal} {pin}")).collect();
         let (pins, level) = (pins.join(", "), row.level);
-        let (basis, source) = (basis(row.basis), row.source);
+        let (basis, source) = (row.basis.name(), row.source);
         let _ = writeln!(
             text,
             "| {} | {}: {} | {level} | {basis} | {source} |",
@@ -51,7 +46,7 @@ fn board_page_lists_pins_values_and_requirements() {
     }
     let _ = write!(text, "\n| value | | basis | source |\n{}", rule(4));
     for row in VALUES {
-        let basis = basis(if row.assumed { Basis::Assumed } else { Basis::Stated });
+        let basis = row.basis.name();
         let _ = writeln!(
             text,
             "| {} | {} {} | {basis} | {} |",
@@ -60,7 +55,7 @@ fn board_page_lists_pins_values_and_requirements() {
     }
     let _ = write!(text, "\n| range at the bring-up | | basis | source |\n{}", rule(4));
     for row in RANGES {
-        let ([min, max], basis) = (row.limits, basis(row.basis));
+        let ([min, max], basis) = (row.limits, row.basis.name());
         let unit = row.unit;
         let _ =
             writeln!(text, "| {} | {min} to {max} {unit} | {basis} | {} |", row.name, row.source);
@@ -72,7 +67,7 @@ fn board_page_lists_pins_values_and_requirements() {
             "| {} | {} | {} | {} |",
             row.place,
             row.text,
-            basis(row.basis),
+            row.basis.name(),
             row.source
         );
     }

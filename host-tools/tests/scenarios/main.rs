@@ -51,7 +51,7 @@ fn without(detector: Option<Detector>) -> (DetectionLimits, Parameters) {
     match detector {
         None => {}
         Some(Detector::LostTicks) => limits.lost_ticks = u8::MAX,
-        Some(Detector::FrozenAxes) => limits.frozen_axes = u8::MAX,
+        Some(Detector::FrozenAxes) => limits.frozen_axes = None,
         Some(Detector::FailedTransfers) => limits.failed_transfers = u8::MAX,
         Some(Detector::StuckTicks) => limits.stuck_ticks = u8::MAX,
         Some(Detector::Unbalanced) => limits.unbalanced_n = i32::MAX,

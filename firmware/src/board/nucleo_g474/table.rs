@@ -1,21 +1,10 @@
 //! The board as data: what is at which pin, gains, limits, what the board must provide, each with its basis. The tables of
 //! `firmware/BOARD.md`, the wiring of the emulated board and the limits of the bring-up are generated from it.
 
-use crate::config::constants::{self, Constant, assumed, stated};
-use crate::config::limits::DetectionLimits;
-use crate::motor::settings::MotorLimits;
+use crate::config::constants::{self, Basis, Constant, assumed, stated};
+use crate::config::limits::FROZEN_AXES;
+use crate::motor::settings::STUCK_PERIODS;
 use crate::sensors::hall::{GripperHallSensor, HallSensor};
-
-/// What a statement rests on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Basis {
-    /// Neither stated nor measured.
-    Assumed,
-    /// By a data sheet or a manual.
-    Stated,
-    /// On a board: state which, and how.
-    Measured,
-}
 
 /// A function of the board and its pins.
 #[derive(Clone, Copy, Debug)]
@@ -181,7 +170,7 @@ pub const NOISE: Range =
 /// One less than the detector of frozen sensors permits.
 pub const EQUAL_READINGS: Range = range(
     ["equal readings in a row", "", "noise, detector of frozen sensors"],
-    [1.0, (DetectionLimits::GRIPPER.frozen_axes / 3 - 1) as f64],
+    [1.0, (FROZEN_AXES / 3 - 1) as f64],
 );
 /// Automatic gain, 0 to 255.
 pub const ENCODER_GAIN: Range =
@@ -189,7 +178,7 @@ pub const ENCODER_GAIN: Range =
 /// Fewer than the detector of stuck sensors permits.
 pub const EQUAL_ANGLES: Range = range(
     ["equal angles in a row", "", "noise, detector of stuck sensors"],
-    [1.0, (MotorLimits::GRIPPER.stuck_periods - 1) as f64],
+    [1.0, (STUCK_PERIODS - 1) as f64],
 );
 /// Gate inputs of a bridge that is off.
 pub const GATES_OFF_V: Range = range(["gates that are off", "V", "any gate driver"], [0.0, 0.5]);

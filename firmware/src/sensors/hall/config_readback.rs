@@ -26,8 +26,8 @@ pub const SETTLES: u8 = 10;
 /// Reference words and state of all sensors.
 #[derive(Clone, Copy, Debug)]
 pub struct ConfigReadback {
-    /// Successive deviations after which a sensor is lost.
-    max_deviations: u8,
+    /// Successive deviations after which a sensor is lost; `None`: never.
+    max_deviations: Option<u8>,
     sensors: [ReferenceWord; SENSORS],
     /// Index in [`TURNS`].
     turn: usize,
@@ -79,8 +79,7 @@ impl ConfigReadback {
             reference.deviations = match (is_first, reference.settled) {
                 (false, Some(SETTLES..)) => {
                     self.deviations = self.deviations.saturating_add(1);
-                    // Below the limit that means never.
-                    reference.deviations.saturating_add(1).min(u8::MAX - 1)
+                    reference.deviations.saturating_add(1)
                 }
                 (false, _) => {
                     reference.settled = None;
@@ -91,7 +90,7 @@ impl ConfigReadback {
                     0
                 }
             };
-            if reference.deviations == 1 && self.max_deviations != u8::MAX {
+            if reference.deviations == 1 && self.max_deviations.is_some() {
                 return ReadbackResult::Changed;
             }
         }
@@ -112,7 +111,7 @@ impl ConfigReadback {
         mut samples: [Option<HallSample>; SENSORS],
     ) -> [Option<HallSample>; SENSORS] {
         for (sample, reference) in samples.iter_mut().zip(&self.sensors) {
-            if reference.deviations >= self.max_deviations {
+            if self.max_deviations.is_some_and(|most| reference.deviations >= most) {
                 *sample = None;
             }
         }

@@ -35,7 +35,7 @@ pub struct MonitoredReading {
 #[derive(Clone, Copy, Debug)]
 pub struct LivenessMonitor {
     lost_ticks: u8,
-    frozen_axes: u8,
+    frozen_axes: Option<u8>,
     last: Option<HallReading>,
     /// Repeated words, summed over unsaturated axes and ticks.
     repeated: u8,
@@ -70,13 +70,11 @@ impl LivenessMonitor {
         self.missed = 0;
         // The temperature is converted apart: its last bit flickers even if the field is frozen.
         if self.last.replace(reading).is_some_and(|last| last.field == reading.field) {
-            // Below the limit that means never.
-            self.repeated =
-                self.repeated.saturating_add(unsaturated_axes(&reading)).min(u8::MAX - 1);
+            self.repeated = self.repeated.saturating_add(unsaturated_axes(&reading));
         } else {
             (self.age, self.repeated) = (0, 0);
         }
-        if self.repeated >= self.frozen_axes {
+        if self.frozen_axes.is_some_and(|frozen| self.repeated >= frozen) {
             self.result(None, SensorCondition::Frozen)
         } else {
             self.result(Some(reading), SensorCondition::Live)

@@ -184,7 +184,7 @@ pub fn assumptions(design: &SensorDesign) -> String {
     constants.extend(interference.filter(|one| !mounted.contains(one)).map(named));
     let texts: Vec<String> = constants
         .iter()
-        .filter(|(_, constant)| constant.assumed)
+        .filter(|(_, constant)| constant.is_assumed())
         .map(|(name, constant)| {
             let value = match constant.value.abs() {
                 size if size >= 1e6 => format!("{:e}", constant.value),

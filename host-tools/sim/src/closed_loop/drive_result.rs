@@ -171,5 +171,5 @@ impl DriveResult {
 pub fn assumed_constants(lead: Lead, more: &[Constant]) -> Vec<Constant> {
     let screw = lead.constants();
     let all = screw.into_iter().chain(DRIVE_CONSTANTS).chain(more.iter().copied());
-    all.filter(|constant| constant.assumed).collect()
+    all.filter(Constant::is_assumed).collect()
 }

@@ -161,7 +161,7 @@ impl InjectedFault {
                 2.0,
                 EVERYWHERE,
                 |setup| {
-                    setup.motor.stuck_periods = u16::MAX;
+                    setup.motor.stuck_periods = None;
                     setup.motor.unexplained_periods = u16::MAX;
                 },
             ),
@@ -221,7 +221,7 @@ impl InjectedFault {
             }
             Self::SensorFrozen => {
                 specification(16, "sensor frozen", Fault::SensorFrozen, 4.2, EVERYWHERE, |setup| {
-                    setup.limits.frozen_axes = u8::MAX;
+                    setup.limits.frozen_axes = None;
                 })
             }
             Self::HalfGain => specification(
@@ -246,7 +246,7 @@ impl InjectedFault {
                 100.0,
                 EVERYWHERE,
                 |setup| {
-                    setup.limits.config_mismatches = u8::MAX;
+                    setup.limits.config_mismatches = None;
                 },
             ),
             Self::Saturated => specification(

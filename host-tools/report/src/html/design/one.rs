@@ -98,7 +98,7 @@ fn sources(design: &SensorDesign) -> Section {
             vec![
                 html! { (material.name) ": " (constant.name) },
                 html! { (value) },
-                html! { @if constant.assumed { "assumed" } @else { "stated" } },
+                html! { (constant.basis.name()) },
                 html! { (constant.source) },
             ]
         })
