@@ -82,6 +82,23 @@ fn help_of_every_command_has_an_example() {
 }
 
 #[test]
+fn help_lists_every_visible_command() {
+    let parser = host_tools::commands::parser();
+    let help = text(&WorkDir::empty().stdout("--help"));
+    let lines: Vec<&str> = help.lines().filter_map(|line| line.strip_prefix("  ")).collect();
+    let mut listed: Vec<&str> =
+        lines.iter().filter_map(|line| line.split_whitespace().next()).collect();
+    let mut visible: Vec<&str> = parser
+        .get_subcommands()
+        .filter(|command| !command.is_hide_set())
+        .map(clap::Command::get_name)
+        .collect();
+    listed.sort_unstable();
+    visible.sort_unstable();
+    assert_eq!(listed, visible);
+}
+
+#[test]
 fn former_names_answer_with_the_new_place() {
     let dir = WorkDir::empty();
     let answer = |line: &str| text(&dir.run(line).stderr);
