@@ -116,7 +116,7 @@ pub mod counter {
     pub const REPEATED_ANGLES: u16 = 0x20E;
     /// Hall sensors with a constant configuration word, one bit each; deviations from it in the upper half.
     pub const CONFIGURATIONS: u16 = 0x20F;
-    /// How often, of twenty times a second, the supply of the chip was low, or had been since the motor was last switched on.
+    /// Samples, twenty a second, in which the supply of the chip was low or had switched the motor off.
     pub const LOW_SUPPLY: u16 = 0x210;
 }
 

@@ -262,8 +262,6 @@ pub struct EffectKind {
     pub covariates: &'static [&'static str],
 }
 
-impl EffectKind {}
-
 /// All simulated effects in the order of their random streams: those of the catalogue, and those outside of it.
 pub static EFFECT_KINDS: LazyLock<Vec<EffectKind>> = LazyLock::new(|| {
     let simulated = CATALOGUE.into_iter().filter_map(|effect| match effect.simulation {

@@ -54,10 +54,10 @@ fn peer_that_acknowledges_nothing_for_a_minute_is_served_at_once() {
         cell.host.is_silent = false;
         cell.host.arm();
         let returned_us = cell.time_us();
-        let heard_s = cell.until(0.2, |cell| {
+        let received_s = cell.until(0.2, |cell| {
             cell.host.received.heartbeat.as_ref().is_some_and(|(at_us, _)| *at_us > returned_us)
         });
-        assert!(heard_s.is_some(), "{lead:?}: no heartbeat");
+        assert!(received_s.is_some(), "{lead:?}: no heartbeat");
         let open =
             Command { mode: mode::RELEASE, position: 1200, speed: 160, ..Command::default() };
         cell.host.order(open);

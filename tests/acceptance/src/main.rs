@@ -34,7 +34,7 @@ use results::Section;
 
 /// Run an acceptance test over many seeds and write its table into the results file.
 ///
-/// The exit status is 1 if a requirement is not met. All results are simulated.
+/// The exit status is 1 if a requirement is not met. All results but those of `real` are simulated.
 #[derive(Debug, Parser)]
 #[command(
     name = "acceptance",

@@ -214,9 +214,8 @@ impl CurrentLoopState {
             interrupt::CORDIC.pend();
         }
     }
-}
 
-impl CurrentLoopState {
+    /// [`SensorMonitor`](crate::motor::diagnostics::SensorMonitor) counts in an armed motor only; a bring-up counts before.
     fn count_repeated(&mut self, angle: Result<u16, EncoderError>) {
         let (last, repeated) = self.last;
         let repeated = if angle.is_ok() && angle == last { repeated.saturating_add(1) } else { 0 };

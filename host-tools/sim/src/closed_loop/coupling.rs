@@ -86,9 +86,9 @@ pub struct SimulatedGripper {
     pub pressed_n: [f64; 2],
     /// Test bench that loads the fingertips and moves the gripper.
     pub bench: Option<Rc<BenchProgramme>>,
-    /// Surroundings and gravity without a bench.
+    /// Ambient conditions without a bench.
     pub ambient: AmbientConditions,
-    /// In m/s^2, gripper axes.
+    /// Specific force at rest without a bench in m/s^2, gripper axes.
     pub gravity: Vector3<f64>,
     /// Peak true grip force in newtons, since its last reset.
     pub peak_n: f64,
