@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Result;
 
 use crate::commands::args::CompareArgs;
-use crate::commands::print_notes;
+use crate::commands::output::print_notes;
 use analysis::comparison::{compare, setup_errors};
 use analysis::data_quality::fix;
 use report::text::comparison::{format_report, to_json};

@@ -13,8 +13,8 @@ use model_export::model_file::{BaseKind, ModelFile, Provenance};
 use model_export::output::StagingDir;
 use model_export::recordings::align::Alignment;
 
-use crate::commands::INTERRUPTED;
 use crate::commands::args::parse_number;
+use crate::commands::output::INTERRUPTED;
 use analysis::compare::campaign_reader::read_campaign;
 use analysis::fit::fit_campaign;
 use device::key_file;

@@ -29,7 +29,7 @@ use sim::campaign;
 use sim::campaign::settings::CampaignSettings;
 use sim::effects::Effect;
 
-use crate::commands::print_notes;
+use crate::commands::output::print_notes;
 
 /// The complete workflow on one campaign: fit, compare, diagnose, add the missing effects.
 ///

@@ -10,7 +10,7 @@ use model_export::model_file::ModelFile;
 use model_export::output::{check_output, write_output};
 
 use crate::commands::args::{CompareArgs, ExprArgs};
-use crate::commands::{INTERRUPTED, first_interrupt, print_notes};
+use crate::commands::output::{INTERRUPTED, first_interrupt, print_notes};
 use analysis::compare::campaign_reader::{Caching, ScannedCampaign};
 use analysis::compare::pipeline::{compare_scanned, setup_errors_of};
 use analysis::diagnose::observer::{FirstCandidate, Observer};

@@ -13,7 +13,7 @@ use report::text::edit_model::{format_report, to_json};
 use report::text::terminal;
 
 use crate::commands::args::{CampaignArgs, ExprArgs};
-use crate::commands::print_notes;
+use crate::commands::output::print_notes;
 
 /// Arguments of `add` and `remove`.
 #[derive(Debug, clap::Args)]

@@ -11,7 +11,9 @@ use model_export::output::{check_output, write_output};
 use serde_json::json;
 
 use crate::commands::args::AlignArgs;
-use crate::commands::{check_compensated, print_conditions, print_missing_sensors, print_notes};
+use crate::commands::output::{
+    check_compensated, print_conditions, print_missing_sensors, print_notes,
+};
 use device_run::networks::{NetworkSet, tables_source};
 use report::text::export::{format_tables, to_json, worst_map};
 use report::text::terminal;

@@ -14,7 +14,7 @@ use report::text::fit::{format_report, to_json};
 use report::text::terminal;
 
 use crate::commands::args::FitArgs;
-use crate::commands::print_notes;
+use crate::commands::output::print_notes;
 
 /// Fit the base physics to a campaign and write a model file.
 #[derive(Debug, clap::Args)]

@@ -7,7 +7,7 @@ use anyhow::Result;
 use model_export::output::write_new;
 use model_export::recordings::guess;
 
-use crate::commands::print_notes;
+use crate::commands::output::print_notes;
 use report::text::import::{format_import, format_proposal, proposal_json, to_json};
 use report::text::terminal;
 

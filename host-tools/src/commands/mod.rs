@@ -1,4 +1,4 @@
-//! The command line: one module for each command; [`args`] and [`connection`] are shared by several.
+//! The command line: one module for each command; [`args`], [`connection`] and [`output`] are shared by several.
 
 pub mod args;
 pub mod board;
@@ -19,6 +19,7 @@ pub mod identify;
 pub mod import;
 pub mod key;
 pub mod monitor;
+pub mod output;
 pub mod parameter;
 pub mod record;
 pub mod replay;
@@ -31,16 +32,10 @@ pub mod workbench;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
-use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
 
-use analysis::notes::{ErrorWithNotes, Note};
-use anyhow::Context;
+use analysis::notes::ErrorWithNotes;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use device::control::result_code::ResultCode;
-use firmware::sensors::hall::SENSORS;
-use model_export::inverse::build::{DeviceModel, ExportHeader};
-use signal_hook::consts::SIGINT;
 
 /// Calibrates Hall-effect force sensors of a robot gripper, diagnoses missing physical effects, and operates the
 /// gripper.
@@ -171,7 +166,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             if let Some(error) = error.downcast_ref::<ErrorWithNotes>() {
-                print_notes(&error.notes);
+                output::print_notes(&error.notes);
             }
             eprintln!("magpie: {error:#}");
             ExitCode::from(ResultCode::of(&error).status())
@@ -202,64 +197,10 @@ fn execute(command: &Command) -> anyhow::Result<()> {
         Command::Dev(DevCommand::Export(args)) => export::run(args),
         Command::Dev(DevCommand::Emulate(args)) => emulate::run(args),
         Command::Dev(DevCommand::Dbc(args)) => dbc::run(args),
-        Command::Dev(DevCommand::Completions(args)) => shell::run_completions(args),
-        Command::Dev(DevCommand::Man(args)) => shell::run_man(args),
+        Command::Dev(DevCommand::Completions(args)) => shell::run_completions(args, parser()),
+        Command::Dev(DevCommand::Man(args)) => shell::run_man(args, parser()),
     }
 }
 
 /// Exit status of wrong arguments, as of the parser.
 const USAGE_ERROR: u8 = 2;
-/// Exit status of a process that Ctrl-C ended.
-const INTERRUPTED: i32 = ResultCode::Interrupted.status() as i32;
-
-/// A flag that the first Ctrl-C sets; the second ends the process.
-fn first_interrupt() -> anyhow::Result<Arc<AtomicBool>> {
-    let flag = Arc::new(AtomicBool::new(false));
-    let context = "cannot install the handler for Ctrl-C";
-    // In this order: the first one only arms the end.
-    signal_hook::flag::register_conditional_shutdown(SIGINT, INTERRUPTED, flag.clone())
-        .context(context)?;
-    signal_hook::flag::register(SIGINT, flag.clone()).context(context)?;
-    Ok(flag)
-}
-
-/// Prints notes on stderr.
-fn print_notes(notes: &[Note]) {
-    for note in notes {
-        eprintln!("note: {}", report::text::notes::text(note));
-    }
-}
-
-/// Refuses a model with an effect that the device never compensates; `command` can override that.
-///
-/// # Errors
-/// There is one; the error has the reason.
-fn check_compensated(built: &DeviceModel, command: &str) -> anyhow::Result<()> {
-    let remedy = format!(
-        "remove it from the model (`cargo magpie remove`), or {command} with --uncompensated"
-    );
-    analysis::notes::check_compensated(built, &remedy)
-}
-
-/// Prints on stderr under which conditions the board compensates the effects of a model.
-fn print_conditions(built: &DeviceModel) {
-    if let Some(state) = &built.header.valid_from {
-        eprintln!(
-            "note: the tables hold the gripper's state of {state}: calibrate again after further changes"
-        );
-    }
-    for (effect, conditions) in &built.conditions {
-        eprintln!("note: the board compensates {effect} {}", conditions.join("; "));
-    }
-}
-
-/// States that the board reads sensors that the tables do not have.
-fn print_missing_sensors(header: &ExportHeader) {
-    let image: Vec<u32> = (0..SENSORS as u32).collect();
-    if header.sensors != image {
-        eprintln!(
-            "note: the board reads sensors {image:?}, these tables have {:?}: it reports the forces of the others as missing",
-            header.sensors
-        );
-    }
-}

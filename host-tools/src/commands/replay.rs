@@ -8,7 +8,7 @@ use report::text::replay::{format_report, to_json};
 use report::text::terminal;
 
 use crate::commands::args::AlignArgs;
-use crate::commands::print_notes;
+use crate::commands::output::print_notes;
 
 /// Run a campaign through the device code and compare the forces with the reference.
 #[derive(Debug, clap::Args)]

@@ -6,8 +6,6 @@ use anyhow::{Context, Result};
 use clap_complete::Shell;
 use report::text::terminal;
 
-use crate::commands::parser;
-
 /// Print the completion script of a shell.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
@@ -19,10 +17,10 @@ pub struct CompletionsArgs {
     shell: Shell,
 }
 
-/// Prints the script.
-pub fn run_completions(args: &CompletionsArgs) -> Result<()> {
+/// Prints the script for `parser`.
+pub fn run_completions(args: &CompletionsArgs, mut parser: clap::Command) -> Result<()> {
     let mut script = Vec::new();
-    clap_complete::generate(args.shell, &mut parser(), "magpie", &mut script);
+    clap_complete::generate(args.shell, &mut parser, "magpie", &mut script);
     Ok(terminal::print(&String::from_utf8(script)?)?)
 }
 
@@ -37,12 +35,12 @@ pub struct ManArgs {
     folder: PathBuf,
 }
 
-/// Writes the pages.
-pub fn run_man(args: &ManArgs) -> Result<()> {
+/// Writes the pages of the commands of `parser`.
+pub fn run_man(args: &ManArgs, parser: clap::Command) -> Result<()> {
     let place = args.folder.display();
     std::fs::create_dir_all(&args.folder).with_context(|| format!("{place} cannot be made"))?;
     // No page is generated for hidden commands.
-    let all = parser().mut_subcommands(|command| command.hide(false));
+    let all = parser.mut_subcommands(|command| command.hide(false));
     clap_mangen::generate_to(all, &args.folder)
         .with_context(|| format!("{place} cannot be written"))?;
     Ok(terminal::print(&format!("Manual pages of magpie and its commands in {place}.\n"))?)

@@ -15,7 +15,7 @@ use model_export::gru::train::trainer::{Trainer, TrainingSettings};
 use model_export::output::check_output;
 
 use crate::commands::args::AlignArgs;
-use crate::commands::{INTERRUPTED, first_interrupt, print_notes};
+use crate::commands::output::{INTERRUPTED, first_interrupt, print_notes};
 use analysis::network_training::dataset::TrainingData;
 use analysis::network_training::{
     DEFAULT_PATIENCE, DEFAULT_RATE, MAX_HIDDEN, TrainingResult, check_settings, default_epochs,

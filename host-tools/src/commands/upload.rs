@@ -16,7 +16,9 @@ use report::text::terminal;
 use serde_json::json;
 
 use crate::commands::connection::PortArgs;
-use crate::commands::{check_compensated, print_conditions, print_missing_sensors, print_notes};
+use crate::commands::output::{
+    check_compensated, print_conditions, print_missing_sensors, print_notes,
+};
 
 /// Upload force model, compensation and networks to a gripper, without a compiler.
 ///

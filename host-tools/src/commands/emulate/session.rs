@@ -15,8 +15,8 @@ use model_export::inverse::build::{ModelVariant, build};
 use model_export::output::{check_output, write_output};
 
 use crate::commands::connection::interrupted;
-use crate::commands::emulate::text::{End, Setup, format_fault, format_reset};
-use crate::commands::emulate::{Args, Timing, default_image, text};
+use crate::commands::emulate::args::{Args, Timing, default_image};
+use crate::commands::emulate::text::{self, End, Setup, format_fault, format_reset};
 use device::emulation::pace::Pace;
 use device::emulation::{CanPort, Emulation, Notice};
 use device::pty::Pty;

@@ -7,7 +7,7 @@ use firmware::protocol::messages::FaultEvent;
 use firmware::system::faults::Fault;
 use serde_json::{Value, json};
 
-use crate::commands::emulate::Args;
+use crate::commands::emulate::args::Args;
 use device::emulation::Emulation;
 use device::emulation::deadlines::{BIN_US, Deadlines};
 use device::emulation::pace::Pace;

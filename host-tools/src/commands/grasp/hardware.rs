@@ -17,7 +17,7 @@ use report::text::terminal;
 use serde_json::json;
 
 use crate::commands::connection::{end_on_interrupt, interrupted};
-use crate::commands::grasp::{Args, Profile};
+use crate::commands::grasp::args::{Args, Profile};
 
 fn request(args: &Args) -> Result<Request> {
     if let Some(opening_mm) = args.release {

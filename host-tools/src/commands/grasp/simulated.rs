@@ -5,7 +5,7 @@ use analysis::progress;
 use anyhow::{Result, bail};
 use device::control::check_force;
 
-use crate::commands::grasp::{Args, ObjectStiffness, OtherController};
+use crate::commands::grasp::args::{Args, ObjectStiffness, OtherController};
 use report::html::grasp as page;
 use report::text::grasp::{format_grasp, format_landing, grasp_json, landing_json};
 use report::text::terminal;

@@ -1,8 +1,8 @@
 //! `magpie record`: writes sensor readings of a running gripper to a recording.
 
-use analysis::diagnose::recording_check::{RecordingCheck, add_missing_forces, check_recordings};
+use analysis::diagnose::recording_check::{add_missing_forces, check_recordings};
 use analysis::progress;
-use analysis::reference_delay::{ReferenceAlignment, align_recording};
+use analysis::reference_delay::align_recording;
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering::Relaxed;
@@ -42,9 +42,10 @@ use device::reference::{
 };
 use device::session::{Credentials, with_session};
 use device::source::{ConnectionLost, SILENCE, Source};
-use guide::{Guide, StepResult};
+use guide::Guide;
 use report::text::terminal;
 use sim::campaign::plan::RecordingPlan;
+use summary::{CheckResult, Summary};
 
 /// Write sensor readings of a running gripper to a recording.
 #[derive(Debug, clap::Args)]
@@ -237,35 +238,6 @@ fn read_plan(path: &Path, number: u32) -> Result<RecordingPlan> {
     plan.recording(number).ok_or_else(|| {
         anyhow!("{}: --plan-recording {number}; the plan has {}", path.display(), plan.recordings)
     })
-}
-
-/// Result of a recording.
-struct Summary<'a> {
-    output: &'a Path,
-    start_s: f64,
-    tally: &'a RecordingCounts,
-    /// None without a reference force.
-    alignment: Option<&'a ReferenceAlignment>,
-    /// Steps of the plan, if there was one.
-    steps: Option<&'a [StepResult]>,
-    /// Time in the recording at which the reference ended, before the recording did.
-    reference_end_s: Option<f64>,
-    /// Number of poses sent to the board; none where the source has none.
-    poses: Option<u64>,
-    check: Option<&'a CheckResult>,
-    /// Which has no covariates, as a virtual board.
-    is_on_bus: bool,
-    is_virtual: bool,
-    /// The connection was lost, which ended the recording.
-    is_cut: bool,
-}
-
-/// Covered ranges, and the effects on which the recording can decide.
-struct CheckResult {
-    ranges: Vec<CoveredRange>,
-    /// Number of forces that the board estimated and no reference measured.
-    estimated_forces: usize,
-    effects: RecordingCheck,
 }
 
 /// Checks a finished recording; forces that it lacks are the board's estimates.

@@ -1,11 +1,44 @@
 //! Result of a recording as text and JSON.
 
+use std::path::Path;
+
+use analysis::diagnose::recording_check::RecordingCheck;
 use analysis::numbers;
-use device::recorder::CoveredRange;
+use analysis::reference_delay::ReferenceAlignment;
+use device::recorder::{CoveredRange, RecordingCounts};
 use report::text::{recording_check, terminal};
 use serde_json::{Value, json};
 
-use super::{CheckResult, ReferenceAlignment, StepResult, Summary};
+use crate::commands::record::guide::StepResult;
+
+/// Result of a recording.
+pub struct Summary<'a> {
+    pub(super) output: &'a Path,
+    pub(super) start_s: f64,
+    pub(super) tally: &'a RecordingCounts,
+    /// None without a reference force.
+    pub(super) alignment: Option<&'a ReferenceAlignment>,
+    /// Steps of the plan, if there was one.
+    pub(super) steps: Option<&'a [StepResult]>,
+    /// Time in the recording at which the reference ended, before the recording did.
+    pub(super) reference_end_s: Option<f64>,
+    /// Number of poses sent to the board; none where the source has none.
+    pub(super) poses: Option<u64>,
+    pub(super) check: Option<&'a CheckResult>,
+    /// Which has no covariates, as a virtual board.
+    pub(super) is_on_bus: bool,
+    pub(super) is_virtual: bool,
+    /// The connection was lost, which ended the recording.
+    pub(super) is_cut: bool,
+}
+
+/// Covered ranges, and the effects on which the recording can decide.
+pub struct CheckResult {
+    pub(super) ranges: Vec<CoveredRange>,
+    /// Number of forces that the board estimated and no reference measured.
+    pub(super) estimated_forces: usize,
+    pub(super) effects: RecordingCheck,
+}
 
 impl Summary<'_> {
     /// As text.

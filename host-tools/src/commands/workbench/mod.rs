@@ -33,9 +33,9 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 
 use crate::commands::args::{FitArgs, parse_range};
-use crate::commands::check_compensated;
 use crate::commands::connection::{PortArgs, ReferenceArgs, default_virtual_board};
 use crate::commands::diagnose::write_plan_file;
+use crate::commands::output::check_compensated;
 use crate::commands::workbench::live::{LiveGripper, RecordRequest};
 use device::http::{Place, read_body, refuse, serve, single};
 use device::reference::ReferenceSource;
