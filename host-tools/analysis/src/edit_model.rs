@@ -18,10 +18,10 @@ use model_export::model_file::{BaseKind, ModelFile, Provenance};
 use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
 
+use crate::compare::ForceError;
 use crate::compare::campaign_reader::check_distinct;
 use crate::compare::force_errors::held_out_forces;
-use crate::compare::{ForceError, MissingForces};
-use crate::notes::{Note, UncompensatedEffect, collect};
+use crate::notes::{MissingForces, Note, UncompensatedEffect, collect};
 use crate::progress;
 
 /// A model before and after an edit of its effects, both refitted on the same recordings.

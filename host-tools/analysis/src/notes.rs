@@ -5,14 +5,13 @@ use std::fmt;
 use std::path::PathBuf;
 
 use anyhow::{Result, bail};
-use model_export::inverse::build::DeviceModel;
+use model_export::inverse::build::{DeviceModel, NotInvertible};
 use model_export::inverse::compensation::NotCompensable;
 use model_export::model_file::ModelFile;
 use model_export::recordings::{Campaign, Notice};
 use serde::Serialize;
 
-use crate::compare::MissingForces;
-use crate::data_quality::Finding;
+use crate::data_quality::finding::Finding;
 
 /// A remark on the input of a result, or on what was left out of it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -99,6 +98,19 @@ impl Note {
         let is_other = model.design.is_some() && campaign.design() != model.design.as_ref();
         is_other.then(|| Self::OtherDesign { recording: campaign.folder.clone() })
     }
+}
+
+/// Why forces are missing.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub enum MissingForces {
+    /// The field does not determine the forces.
+    NotInvertible(NotInvertible),
+    /// The device cannot compensate an effect, for this reason.
+    NotCompensable(NotCompensable),
+    /// The device's tables cannot represent them.
+    NotRepresentable(String),
+    /// No row has both a valid estimate and the reference forces.
+    NoValidRow,
 }
 
 /// An effect of a model that the device does not compensate.

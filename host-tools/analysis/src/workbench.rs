@@ -24,9 +24,9 @@ use crate::compare::pipeline::{evaluate, model_findings};
 use crate::compare::{Comparison, ForceError};
 use crate::data_quality::{Finding, merge};
 use crate::diagnose::candidates::{UntestableEffect, candidates, screen};
+use crate::diagnose::fitted_model::FittedModel;
 use crate::diagnose::observer::Observer;
 use crate::diagnose::residuals::{block_s, residual_tables, residuals_against};
-use crate::diagnose::selection::FittedModel;
 use crate::diagnose::{Diagnosis, Scope, diagnose};
 use crate::edit_model::check_effects;
 

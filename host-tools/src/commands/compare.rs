@@ -7,7 +7,7 @@ use anyhow::Result;
 use crate::commands::args::CompareArgs;
 use crate::commands::output::print_notes;
 use analysis::comparison::{compare, setup_errors};
-use analysis::data_quality::fix;
+use analysis::data_quality::corrected_copy;
 use report::text::comparison::{format_report, to_json};
 use report::text::terminal;
 
@@ -49,7 +49,7 @@ pub fn run(args: &Args) -> Result<()> {
         let alignment = input.fit.align.alignment()?;
         let check =
             |folder: &Path| setup_errors(&input.model, folder, alignment, input.fit.options());
-        for correction in fix::write(&input.campaign, &comparison.findings, to, check)? {
+        for correction in corrected_copy::write(&input.campaign, &comparison.findings, to, check)? {
             common.print_line(&correction)?;
         }
         common.print_line(&format!("Corrected and checked: {}", to.display()))?;

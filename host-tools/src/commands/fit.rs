@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use analysis::compare::campaign_reader::scan_with_progress;
-use analysis::data_quality::fix;
+use analysis::data_quality::corrected_copy;
 use analysis::fit::fit_model;
 use anyhow::Result;
 use clap::ValueEnum;
@@ -95,7 +95,7 @@ pub fn run(args: &Args) -> Result<()> {
                 messages.join("; ")
             );
         }
-        for correction in fix::write(&args.campaign, &findings, to, check)? {
+        for correction in corrected_copy::write(&args.campaign, &findings, to, check)? {
             eprintln!("{correction}");
         }
         eprintln!("Corrected and checked: {}", to.display());

@@ -7,9 +7,9 @@
 
 use crate::compare::cv_plan::{CvPlan, FoldModel, RecordingFolds};
 use crate::compare::{
-    Envelope, ErrorRows, FlaggedRows, ForceAxisErrors, ForceError, Histogram, MissingForces, Trace,
+    Envelope, ErrorRows, FlaggedRows, ForceAxisErrors, ForceError, Histogram, Trace,
 };
-use crate::notes::UncompensatedEffect;
+use crate::notes::{MissingForces, UncompensatedEffect};
 use crate::progress;
 use crate::replay::corrections::{Irreducible, RecordingOffsets, SensorCorrections, add_offsets};
 use crate::replay::{RecordingReplay, ReplayInput, replay_each};

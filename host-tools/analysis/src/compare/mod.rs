@@ -12,14 +12,12 @@
 
 use std::borrow::Cow;
 
-use crate::data_quality::Finding;
+use crate::data_quality::finding::Finding;
 use crate::noise_floor::NoiseSummary;
-use crate::notes::Note;
+use crate::notes::{MissingForces, Note};
 use crate::statistics::{ErrorStatistics, pooled_rms};
 use model_export::effects::ErrorOrigin;
 use model_export::fit::cross_validation::CvSplit;
-use model_export::inverse::build::NotInvertible;
-use model_export::inverse::compensation::NotCompensable;
 use model_export::model_file::{EffectModel, SensorScale};
 use model_export::recordings::columns::{Axis, SignalUnit};
 use serde::Serialize;
@@ -234,19 +232,6 @@ pub enum Validation {
         /// Number of all recordings.
         all: usize,
     },
-}
-
-/// Why forces are missing.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub enum MissingForces {
-    /// The field does not determine the forces.
-    NotInvertible(NotInvertible),
-    /// The device cannot compensate an effect, for this reason.
-    NotCompensable(NotCompensable),
-    /// The device's tables cannot represent them.
-    NotRepresentable(String),
-    /// No row has both a valid estimate and the reference forces.
-    NoValidRow,
 }
 
 /// Results of a model on a campaign.

@@ -5,8 +5,8 @@ use model_export::recordings::dependence::dependences;
 use model_export::recordings::noise_model::RowOrder;
 use model_export::recordings::{Campaign, Location};
 
-use crate::data_quality::Finding;
 use crate::data_quality::evidence::{Evidence, RecordingSet};
+use crate::data_quality::finding::Finding;
 use crate::noise_floor::NoiseSummary;
 
 /// Findings of a campaign, none of which stops a result.

@@ -5,13 +5,16 @@
 //! - [`model_checks`]: findings that need a model's prediction.
 //! - [`campaign_checks`]: findings from the aligned recordings together.
 //! - [`evidence`]: what a check found.
-//! - [`fix`]: unambiguous corrections, and writing a corrected campaign.
+//! - [`finding`], [`fix`]: a setup error, and its unambiguous correction.
+//! - [`corrected_copy`]: writing a corrected campaign.
 //!
 //! Each cause is reported once: later checks skip the columns that an earlier finding explains.
 
 pub mod campaign_checks;
 pub mod checks;
+pub mod corrected_copy;
 pub mod evidence;
+pub mod finding;
 pub mod fix;
 pub mod model_checks;
 pub mod scan;
@@ -19,41 +22,17 @@ pub mod scan;
 use std::path::Path;
 
 use anyhow::Result;
+use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
 use model_export::recordings::campaign::recording_folders;
-use model_export::recordings::{Campaign, Location};
 use model_export::stop;
 use rayon::prelude::*;
-use serde::Serialize;
 
 use crate::data_quality::checks::{CheckContext, Found, clock, columns, lines, wraps};
-use crate::data_quality::evidence::Evidence;
-use crate::data_quality::fix::Fix;
+pub use crate::data_quality::finding::Finding;
 use crate::data_quality::model_checks::column_findings::column_errors;
 use crate::data_quality::model_checks::{ModelResiduals, SensorPrediction};
 use crate::data_quality::scan::RecordingScan;
-
-/// A setup error in the recordings, with evidence and remedy.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Finding {
-    /// Identifier: `clock_backwards`.
-    pub id: &'static str,
-    /// File, line and column, where applicable.
-    pub place: Location,
-    /// What was found, in numbers.
-    pub evidence: Evidence,
-    /// True if no further result is valid before it is fixed.
-    pub stops: bool,
-    /// Repair by `--fix`; `None` where it is ambiguous.
-    pub fix: Option<Fix>,
-}
-
-impl Finding {
-    /// True for single channels in another unit.
-    pub fn is_channel_unit(&self) -> bool {
-        matches!(self.evidence, Evidence::ChannelUnit { .. })
-    }
-}
 
 /// Search for one setup error, in the files alone, against a model, or both.
 struct Check {

@@ -1,11 +1,9 @@
 //! One step of the forward selection: full fits of the significant candidates. The one with the largest reduction
 //! of the cross-validated error is added; candidates close to it are provisionally equivalent.
 
-use crate::diagnose::candidates::{LEVEL, MIN_GAIN, ScreenedEffect};
-use crate::diagnose::formulas::MIN_KEPT;
-use crate::diagnose::selection::{
-    AcceptedStep, DISTINGUISHABLE, FittedModel, ImplausibleFit, SMALL, Selection,
-};
+use crate::diagnose::candidates::{LEVEL, ScreenedEffect};
+use crate::diagnose::fitted_model::{DISTINGUISHABLE, FittedModel, MIN_GAIN, MIN_KEPT};
+use crate::diagnose::selection::{AcceptedStep, ImplausibleFit, SMALL, Selection};
 use anyhow::Result;
 use model_export::effects::EffectTerm;
 use model_export::fit::FitOptions;

@@ -1,7 +1,8 @@
 //! Candidate effects: which of them the recordings can test, and their screening by a score test with a wild
 //! bootstrap.
 
-use crate::diagnose::{AssumedTimes, Reason};
+use crate::diagnose::fitted_model::MIN_GAIN;
+use crate::diagnose::verdict::{AssumedTimes, Reason, Verdict, VerdictKind};
 use crate::statistics::mean_and_std;
 use model_export::effects::excitation::{BUILT_IN_COVARIATES, OPENING_RATE, source_column};
 use model_export::effects::{CATALOGUE, EffectTerm};
@@ -23,6 +24,30 @@ pub struct UntestableEffect {
     pub reason: Reason,
     /// Recording that would test it.
     pub record: String,
+}
+
+impl UntestableEffect {
+    /// The verdict that these recordings cannot test it.
+    pub fn verdict(&self) -> Verdict {
+        Verdict {
+            effect: self.effect.clone(),
+            kind: VerdictKind::Inconclusive,
+            provisional: false,
+            tied_with: Vec::new(),
+            reproduces: Vec::new(),
+            excess_n: None,
+            gain: 0.0,
+            p_adjusted: f64::NAN,
+            inclusion: f64::NAN,
+            value: f64::NAN,
+            std_error: f64::NAN,
+            unit: String::new(),
+            z_typical: 0.0,
+            implausible: None,
+            reason: self.reason.clone(),
+            record: self.record.clone(),
+        }
+    }
 }
 
 /// Effects that these recordings can test in addition to a model (by default of the magnet, which needs all forces), and those that
@@ -204,8 +229,6 @@ const DRAWS: usize = 499;
 pub const LEVEL: f64 = 0.05;
 /// Least p-value that is stated: further tails of sums over some blocks are not known.
 const LEAST_P: f64 = 0.001;
-/// Minimum reduction of the cross-validated squared error.
-pub const MIN_GAIN: f64 = 0.001;
 /// Minimum gain of a transient effect relative to an arbitrary function of time.
 const MIN_OF_FREE: f64 = 0.8;
 
@@ -351,6 +374,22 @@ fn signs(blocks: usize, seed: u64) -> Vec<Vec<f64>> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut sign = || if rng.random::<bool>() { 1.0 } else { -1.0 };
     (0..DRAWS).map(|_| (0..blocks).map(|_| sign()).collect()).collect()
+}
+
+/// Minimum typical magnitude in standard errors for a conclusive verdict.
+pub const MIN_Z: f64 = 4.0;
+
+/// Why a typical magnitude is not detectable; `None` where it is.
+pub fn insufficient(evidence: &CandidateScore) -> Option<Reason> {
+    if evidence.z_typical >= MIN_Z {
+        None
+    } else if evidence.z_unadjusted < MIN_Z {
+        Some(Reason::HardlyChangesField)
+    } else if evidence.z_white_noise < MIN_Z {
+        Some(Reason::Confounded)
+    } else {
+        Some(Reason::Masked)
+    }
 }
 
 #[cfg(test)]

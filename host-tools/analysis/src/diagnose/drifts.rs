@@ -7,11 +7,11 @@ use model_export::fit::effect_size::first_parameter;
 use model_export::fit::joint::SensorFit;
 use model_export::fit::rows::RecordingRows;
 
+use crate::diagnose::fitted_model::{DISTINGUISHABLE, FittedModel};
 use crate::diagnose::formulas::candidate::columns_at;
 use crate::diagnose::formulas::chain_points::ChainPoint;
 use crate::diagnose::formulas::rows::{SensorRows, Windows, averaged, of_model, windows};
 use crate::diagnose::formulas::scan::{Columns, Scan};
-use crate::diagnose::selection::{DISTINGUISHABLE, FittedModel};
 
 /// Quantities of which a value for each recording, a rate, and a step at each instant of `effect` explain as much as `effect` does in
 /// `model`, by the target of a formula; none for an effect without these. Blocks of time have at least `block_s` seconds.

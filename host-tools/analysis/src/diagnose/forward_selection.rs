@@ -3,17 +3,14 @@
 
 use crate::compare::BELOW_FLOOR;
 use crate::diagnose::candidate_fit::{best_candidate, best_pair};
-use crate::diagnose::candidates::{MIN_GAIN, screen};
 use crate::diagnose::confusable_effects::{Collinearity, Similarity, is_delay};
-use crate::diagnose::formulas::{MIN_KEPT, NEAR};
+use crate::diagnose::fitted_model::{DISTINGUISHABLE, FittedModel, MIN_GAIN, MIN_KEPT, NEAR};
 use crate::diagnose::observer::Observer;
-use crate::diagnose::residuals::{attributed_covariates, block_s, residual_tables};
-use crate::diagnose::selection::{DISTINGUISHABLE, DropReason, FittedModel, SMALL, Selection};
+use crate::diagnose::selection::{DropReason, SMALL, Selection};
 use anyhow::Result;
 use model_export::effects::EffectTerm;
 use model_export::fit::FitOptions;
 use model_export::fit::campaign::FitSetup;
-use model_export::fit::score_test::ScoreTest;
 use model_export::recordings::Campaign;
 use rayon::prelude::*;
 
@@ -57,7 +54,7 @@ pub fn forward_selection(
     };
     loop {
         observer.stage("screening candidates", SCREENING);
-        screen_last(campaign, prepared, candidates, &mut selection, options);
+        selection.screen_last(campaign, prepared, candidates, options);
         if selection.steps.is_empty() {
             observer.screened(&selection.last);
             selection.similarity = Similarity::of(&selection.last);
@@ -93,29 +90,6 @@ pub fn forward_selection(
     }
     align_validation(prepared, &mut selection.stages, options)?;
     Ok(selection)
-}
-
-/// Screens the candidates that the last model does not contain, and locates its residual.
-pub fn screen_last(
-    campaign: &Campaign,
-    prepared: &FitSetup,
-    candidates: &[EffectTerm],
-    selection: &mut Selection,
-    options: FitOptions,
-) {
-    let stage = &selection.stages[selection.stages.len() - 1];
-    let remaining: Vec<EffectTerm> =
-        candidates.iter().filter(|c| !stage.effects.contains(c)).cloned().collect();
-    let columns = residual_tables(campaign, prepared, stage);
-    let block_s = block_s(&columns);
-    let around = ScoreTest::new(prepared, &stage.effects, &stage.fit, block_s);
-    selection.block_s = block_s;
-    selection.blocks = around.blocks;
-    selection.last = screen(&around, &remaining, options.seed);
-    for step in &mut selection.steps {
-        step.form_gain = around.form_gain(&step.chosen);
-    }
-    selection.attributed = attributed_covariates(&columns, block_s);
 }
 
 /// Cross-validates every model like the last one, so that their errors are comparable.

@@ -1,11 +1,10 @@
 //! Effects on which a recording can decide, by the criteria of the diagnosis: whether a typical magnitude of an effect
 //! would be detected, given excitation, noise and the parameters of the base model.
 
-use crate::diagnose::candidates::{UntestableEffect, candidates};
+use crate::diagnose::candidates::{UntestableEffect, candidates, insufficient};
+use crate::diagnose::fitted_model::FittedModel;
 use crate::diagnose::residuals::{block_s, residual_tables};
-use crate::diagnose::selection::FittedModel;
-use crate::diagnose::verdicts::{insufficient, of_unjudged};
-use crate::diagnose::{Reason, Verdict};
+use crate::diagnose::verdict::{Reason, Verdict};
 use anyhow::Result;
 use model_export::effects::EffectTerm;
 use model_export::fit::FitOptions;
@@ -35,7 +34,7 @@ pub struct RecordingCheck {
 pub fn check_recordings(campaign: &Campaign, options: FitOptions) -> RecordingCheck {
     let (testable, untestable) = candidates(campaign, None, &[], &[]);
     let mut check = RecordingCheck {
-        inconclusive: untestable.iter().map(of_unjudged).collect(),
+        inconclusive: untestable.iter().map(UntestableEffect::verdict).collect(),
         ..RecordingCheck::default()
     };
     let scores = scores(campaign, &testable, options);
@@ -55,7 +54,7 @@ pub fn check_recordings(campaign: &Campaign, options: FitOptions) -> RecordingCh
                 let record =
                     effect.effect().map_or_else(String::new, |effect| effect.record.to_owned());
                 let effect = effect.name().to_owned();
-                let verdict = of_unjudged(&UntestableEffect { effect, reason, record });
+                let verdict = UntestableEffect { effect, reason, record }.verdict();
                 check.inconclusive.push(Verdict { z_typical, ..verdict });
             }
         }

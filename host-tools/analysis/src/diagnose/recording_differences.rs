@@ -16,11 +16,11 @@ use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use crate::compare::AT_FLOOR;
-use crate::data_quality::Finding;
 use crate::data_quality::evidence::{Evidence, RecordingOffset};
+use crate::data_quality::finding::Finding;
 use crate::data_quality::fix::{Change, Fix, FixKind, Repair};
 use crate::diagnose::candidates::candidates;
-use crate::diagnose::selection::FittedModel;
+use crate::diagnose::fitted_model::FittedModel;
 use crate::replay::corrections::RecordingOffsets;
 
 /// Identifier of the findings.

@@ -31,12 +31,12 @@ use sim::external_fields::motor_currents;
 use sim::motion::LEAD_MM;
 use statrs::distribution::{ContinuousCDF, Normal};
 
-use crate::diagnose::candidates::{UntestableEffect, varies};
+use crate::diagnose::candidates::{MIN_Z, UntestableEffect, varies};
 use crate::diagnose::confusable_effects::Collinearity;
+use crate::diagnose::fitted_model::{DISTINGUISHABLE, FittedModel};
 use crate::diagnose::observer::Observer;
-use crate::diagnose::selection::{DISTINGUISHABLE, FittedModel, Selection};
-use crate::diagnose::verdicts::MIN_Z;
-use crate::diagnose::{Reason, Verdict, VerdictKind};
+use crate::diagnose::selection::Selection;
+use crate::diagnose::verdict::{Reason, Verdict, VerdictKind};
 
 /// Standard errors that a test of all candidates together needs at its level.
 const DETECTED: f64 = 3.0;

@@ -1,41 +1,10 @@
 //! Suggested next command.
 
-use crate::diagnose::{Diagnosis, Verdict, VerdictKind, recording_differences};
+use crate::diagnose::diagnosis::{Diagnosis, Suggestion, SuggestionKind};
+use crate::diagnose::recording_differences;
+use crate::diagnose::verdict::{Verdict, VerdictKind};
 use model_export::effects::EffectTerm;
 use model_export::model_file::BaseKind;
-
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum SuggestionKind {
-    /// No suggestion.
-    #[default]
-    None,
-    /// Add the accepted effects.
-    AddEffects,
-    /// Separate equivalent effects, or add one of them.
-    ChooseEffect,
-    /// Fit with the clocks aligned.
-    AlignClocks,
-    /// Correct what differs between the recordings, and fit the copy.
-    CorrectRecordings,
-    /// Fit a polynomial of a higher degree.
-    RaiseDegree,
-    /// Export the model.
-    Export,
-    /// Replay a model that was fitted to other recordings, before it is used.
-    Replay,
-    /// Test a formula of a covariate.
-    TestFormula,
-    /// Inspect the residual.
-    Compare,
-}
-
-/// Suggestion for the next step.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Suggestion {
-    pub kind: SuggestionKind,
-    /// Alternative commands; those of a correction one after the other.
-    pub commands: Vec<String>,
-}
 
 /// Arguments of the diagnosis.
 pub struct Invocation<'a> {
@@ -272,7 +241,8 @@ fn line(words: &[String]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnose::{DiscoveredFormula, Reason, Unexplained};
+    use crate::diagnose::formulas::discovered::DiscoveredFormula;
+    use crate::diagnose::verdict::{Reason, Unexplained};
     use model_export::effects::expression::Expression;
 
     const TYPED: Invocation = Invocation {

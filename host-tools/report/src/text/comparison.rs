@@ -4,10 +4,11 @@ use crate::text::diagnosis::below_floor;
 use analysis::compare::attribution::MIN_SHARE;
 use analysis::compare::{
     AT_FLOOR, Attribution, BELOW_FLOOR, Bin, Comparison, ErrorUnit, FieldAxisErrors,
-    ForceAxisErrors, ForceError, MeanCondition, MissingForces, Validation, WorstInterval, floor_g,
-    is_at_floor, rms_g,
+    ForceAxisErrors, ForceError, MeanCondition, Validation, WorstInterval, floor_g, is_at_floor,
+    rms_g,
 };
 use analysis::data_quality::Finding;
+use analysis::notes::MissingForces;
 use analysis::numbers::{self, three_digits};
 use analysis::replay::tare::TARE_HARM;
 use analysis::statistics::{ErrorStatistics, pooled_rms};

@@ -1,7 +1,8 @@
 //! Text and JSON of a diagnosis.
 
 use analysis::compare::{AT_FLOOR, BELOW_FLOOR, ForceError};
-use analysis::diagnose::candidates::{LEVEL, MIN_GAIN, RESAMPLES};
+use analysis::diagnose::candidates::{LEVEL, RESAMPLES};
+use analysis::diagnose::fitted_model::MIN_GAIN;
 use analysis::diagnose::recording_differences;
 use analysis::diagnose::remaining_structure::RemainingStructure;
 use analysis::diagnose::{
@@ -1192,7 +1193,7 @@ mod tests {
     use super::*;
     use crate::text::diagnosis_fixture::{formula, full, verdict_of};
     use analysis::compare::ErrorRows;
-    use analysis::diagnose::selection::WorstAxis;
+    use analysis::diagnose::fitted_model::WorstAxis;
 
     #[test]
     fn equivalent_set_lists_reasons_and_experiments() {

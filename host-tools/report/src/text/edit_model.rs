@@ -4,7 +4,7 @@ use crate::text::comparison::decimals;
 use crate::text::comparison::dependent_blocks;
 use analysis::compare::{AT_FLOOR, EffectOrigin};
 use analysis::diagnose::ConfoundedOffsets;
-use analysis::diagnose::candidates::MIN_GAIN;
+use analysis::diagnose::fitted_model::MIN_GAIN;
 use analysis::edit_model::ModelEdit;
 use analysis::numbers;
 use model_export::effects::EffectTerm;

@@ -5,7 +5,7 @@ use model_export::recordings::align::Alignment;
 use std::f64::consts::TAU;
 
 use analysis::data_quality::evidence::Evidence;
-use analysis::data_quality::{Finding, fix, scan_files};
+use analysis::data_quality::{Finding, corrected_copy, scan_files};
 use report::text::findings::message;
 use tests::campaign_copy::{CampaignCopy, CsvTable};
 use tests::data;
@@ -34,7 +34,8 @@ fn column(finding: &Finding) -> &str {
 /// Corrects the campaign, which must then have no finding; returns a table of the corrected one.
 fn corrected(spoilt: &CampaignCopy, recording: u32, name: &str) -> CsvTable {
     let done =
-        fix::write(&spoilt.path(), &found(spoilt), &spoilt.repaired_path(), checked).unwrap();
+        corrected_copy::write(&spoilt.path(), &found(spoilt), &spoilt.repaired_path(), checked)
+            .unwrap();
     assert!(!done.is_empty());
     let left = scan_files(&spoilt.repaired_path(), NO_DELAY, |_| ()).unwrap();
     assert!(left.is_empty(), "{left:#?}");
@@ -388,9 +389,11 @@ fn constant_covariate_lists_untestable_effects() {
 fn fix_never_overwrites_a_campaign() {
     let spoilt = CampaignCopy::new().change(&[2], "hall.csv", |cells| cells.rows.swap(5000, 5001));
     let findings = found(&spoilt);
-    let refused = fix::write(&spoilt.path(), &findings, &spoilt.recording(1), checked).unwrap_err();
+    let refused = corrected_copy::write(&spoilt.path(), &findings, &spoilt.recording(1), checked)
+        .unwrap_err();
     assert!(refused.to_string().contains("refusing to overwrite"), "{refused}");
-    let nothing = fix::write(&spoilt.path(), &[], &spoilt.repaired_path(), checked).unwrap_err();
+    let nothing =
+        corrected_copy::write(&spoilt.path(), &[], &spoilt.repaired_path(), checked).unwrap_err();
     assert!(nothing.to_string().contains("nothing is written"), "{nothing}");
     assert!(!spoilt.repaired_path().exists());
 }
@@ -435,8 +438,9 @@ fn single_channel_in_another_unit_is_converted() {
 fn copy_that_still_has_the_error_is_not_written() {
     let spoilt = CampaignCopy::new().change(&[2], "hall.csv", |cells| cells.rows.swap(5000, 5001));
     let findings = found(&spoilt);
-    let left =
-        fix::write(&spoilt.path(), &findings, &spoilt.repaired_path(), |_| Ok(findings.clone()));
+    let left = corrected_copy::write(&spoilt.path(), &findings, &spoilt.repaired_path(), |_| {
+        Ok(findings.clone())
+    });
     let left = left.unwrap_err().to_string();
     assert!(
         left.contains("would still have clock_backwards") && left.contains("nothing is written"),

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::OnceLock;
 
 use analysis::data_quality::model_checks::SensorPrediction;
-use analysis::data_quality::{Finding, check_against_model, fix, merge, scan_files};
+use analysis::data_quality::{Finding, check_against_model, corrected_copy, merge, scan_files};
 use model_export::effects::{ExcitationSeries, StateSeries};
 use model_export::fit::rows::SensorRows;
 use model_export::fit::{self, FitOptions};
@@ -81,7 +81,7 @@ fn unchecked(_: &Path) -> anyhow::Result<Vec<Finding>> {
 
 /// After the correction there is no finding, and the table of the first recording equals the clean one.
 fn corrects_to_clean(spoilt: &CampaignCopy, finding: Finding, name: &str) {
-    fix::write(&spoilt.path(), &[finding], &spoilt.repaired_path(), unchecked).unwrap();
+    corrected_copy::write(&spoilt.path(), &[finding], &spoilt.repaired_path(), unchecked).unwrap();
     let left = findings_with_own_model(&spoilt.repaired_path(), NO_DELAY);
     assert!(left.is_empty(), "{left:#?}");
     let table = spoilt.repaired_path().join("1").join(format!("{name}.gz"));
@@ -238,7 +238,8 @@ fn field_in_wrong_unit_is_corrected() {
         let finding = only(&spoilt);
         assert_eq!((finding.id, finding.stops), ("wrong_unit", true));
         assert_message(&finding, &[&format!("are in {unit}, not in gauss"), "throughout"]);
-        fix::write(&spoilt.path(), &[finding], &spoilt.repaired_path(), unchecked).unwrap();
+        corrected_copy::write(&spoilt.path(), &[finding], &spoilt.repaired_path(), unchecked)
+            .unwrap();
         let left = findings_with_own_model(&spoilt.repaired_path(), NO_DELAY);
         assert!(left.is_empty(), "{left:#?}");
     }
@@ -283,7 +284,8 @@ fn force_in_wrong_unit_is_corrected() {
         let finding = only(&spoilt);
         assert_eq!((finding.id, finding.stops), ("wrong_unit", true));
         assert_message(&finding, &[&format!("are in {unit}, not in newtons"), "throughout"]);
-        fix::write(&spoilt.path(), &[finding], &spoilt.repaired_path(), unchecked).unwrap();
+        corrected_copy::write(&spoilt.path(), &[finding], &spoilt.repaired_path(), unchecked)
+            .unwrap();
         let left = findings_with_own_model(&spoilt.repaired_path(), NO_DELAY);
         assert!(left.is_empty(), "{left:#?}");
     }

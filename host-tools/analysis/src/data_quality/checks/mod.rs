@@ -16,8 +16,8 @@ use std::collections::{BTreeSet, HashSet};
 
 use model_export::recordings::Location;
 
-use crate::data_quality::Finding;
 use crate::data_quality::evidence::{ColumnSet, Evidence, RecordingSet};
+use crate::data_quality::finding::Finding;
 use crate::data_quality::fix::Fix;
 use crate::data_quality::scan::column::ColumnScan;
 use crate::data_quality::scan::{RecordingScan, TableScan};

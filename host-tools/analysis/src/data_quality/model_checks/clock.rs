@@ -7,7 +7,8 @@ use rayon::prelude::*;
 
 use crate::data_quality::checks::Found;
 use crate::data_quality::evidence::{Evidence, RecordingSet};
-use crate::data_quality::model_checks::{Case, ModelResiduals};
+use crate::data_quality::model_checks::ModelResiduals;
+use crate::data_quality::model_checks::case::Case;
 
 /// Search range in milliseconds on each side and step; the wider range is used if the
 /// optimum of the first is at its end.

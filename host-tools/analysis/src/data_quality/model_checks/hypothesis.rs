@@ -1,7 +1,7 @@
 //! Hypotheses about the columns of one sensor (permuted or negated axes, exchanged forces, wrong units), and the
 //! selection of the one that removes the residual.
 
-use crate::data_quality::model_checks::{Case, mean_square};
+use crate::data_quality::model_checks::case::{Case, mean_square};
 use model_export::effects::ExcitationSeries;
 use model_export::recordings::columns::Axis;
 use model_export::recordings::{Campaign, Recording};

@@ -6,9 +6,9 @@ use model_export::fit::campaign::FitSetup;
 use nalgebra::{Complex, Vector3};
 use rayon::prelude::*;
 
+use crate::diagnose::fitted_model::FittedModel;
 use crate::diagnose::formulas::rows::{Windows, excitations};
 use crate::diagnose::residuals::residuals_against;
-use crate::diagnose::selection::FittedModel;
 
 /// Column of the rotor's angle.
 pub const TURN: &str = "motor_angle_rad";

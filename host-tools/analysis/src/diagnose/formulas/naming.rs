@@ -8,8 +8,9 @@ use model_export::fit::score_test::{CandidateScore, ScoreTest};
 use rayon::prelude::*;
 
 use crate::diagnose::candidates::{REPLACES, ScreenedEffect, screen};
-use crate::diagnose::formulas::{DiscoveredFormula, NEAR};
-use crate::diagnose::selection::{AcceptedStep, FittedModel, Selection};
+use crate::diagnose::fitted_model::{FittedModel, NEAR};
+use crate::diagnose::formulas::discovered::DiscoveredFormula;
+use crate::diagnose::selection::{AcceptedStep, Selection};
 
 /// Replaces formulas by effects of the catalogue that do the same, and explain more, or as much with no more parameters. Where structure
 /// remains, the formulas are approximations, and so would be the effects.

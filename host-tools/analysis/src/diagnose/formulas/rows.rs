@@ -10,8 +10,8 @@ use model_export::fit::rows::RecordingRows;
 use nalgebra::{Cholesky, DMatrix, DVector, Matrix3, Vector3};
 use rayon::prelude::*;
 
+use crate::diagnose::fitted_model::FittedModel;
 use crate::diagnose::formulas::chain_points::ChainPoint;
-use crate::diagnose::selection::FittedModel;
 
 /// Rate in Hz to which rows are averaged.
 const RATE_HZ: f64 = 25.0;

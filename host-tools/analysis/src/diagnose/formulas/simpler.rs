@@ -14,8 +14,9 @@ use model_export::fit::campaign::FitSetup;
 use rayon::prelude::*;
 use std::sync::Arc;
 
-use crate::diagnose::formulas::DiscoveredFormula;
-use crate::diagnose::selection::{FittedModel, Selection};
+use crate::diagnose::fitted_model::FittedModel;
+use crate::diagnose::formulas::discovered::DiscoveredFormula;
+use crate::diagnose::selection::Selection;
 
 /// Rows of a recording on which the formulas are compared with each other.
 const ROWS: usize = 150;

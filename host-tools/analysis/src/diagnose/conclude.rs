@@ -1,18 +1,14 @@
 //! From a selection to verdicts.
 
 use crate::compare::{AT_FLOOR, BELOW_FLOOR};
-use crate::diagnose::candidates::{ScreenedEffect, UntestableEffect};
-use crate::diagnose::selection::FittedModel;
+use crate::diagnose::candidates::{ScreenedEffect, UntestableEffect, insufficient};
+use crate::diagnose::diagnosis::{Diagnosis, StaircaseStep};
+use crate::diagnose::fitted_model::FittedModel;
+use crate::diagnose::formulas::discovered::DiscoveredFormula;
 use crate::diagnose::selection::{AcceptedStep, Selection};
-use crate::diagnose::{
-    Diagnosis, DiscoveredFormula, Reason, StaircaseStep, Unexplained, Verdict, VerdictKind,
-};
+use crate::diagnose::verdict::{Reason, Unexplained, Verdict, VerdictKind};
 use model_export::effects::EffectTerm;
 use model_export::fit::effect_size::{EffectSize, effect_sizes};
-use model_export::fit::score_test::CandidateScore;
-
-/// Minimum typical magnitude in standard errors for a conclusive verdict.
-pub(super) const MIN_Z: f64 = 4.0;
 
 /// Verdicts on all candidates, and the summary.
 pub fn conclude(
@@ -81,7 +77,7 @@ pub fn conclude(
     for verdict in &mut diagnosis.verdicts {
         verdict.reproduces = selection.similarity.reproduced_by(&verdict.effect);
     }
-    diagnosis.verdicts.extend(unjudged.iter().map(of_unjudged));
+    diagnosis.verdicts.extend(unjudged.iter().map(UntestableEffect::verdict));
     diagnosis.sort_verdicts();
     diagnosis
 }
@@ -173,7 +169,7 @@ fn unconfirmed(effect: &EffectTerm, step: &AcceptedStep, complete: bool) -> Verd
         p_adjusted: step.p_adjusted,
         inclusion: step.inclusion,
         z_typical: step.z_typical,
-        ..of_unjudged(&UntestableEffect { effect, reason, record })
+        ..UntestableEffect { effect, reason, record }.verdict()
     }
 }
 
@@ -211,11 +207,12 @@ fn of_rest(
             unit: unit.to_string(),
             z_typical: evidence.z_typical,
             implausible: (!fit.size.is_plausible()).then_some(size.plausible),
-            ..of_unjudged(&UntestableEffect {
+            ..UntestableEffect {
                 effect: effect.name().to_owned(),
                 reason: Reason::Implausible,
                 record: String::new(),
-            })
+            }
+            .verdict()
         };
     }
     Verdict {
@@ -238,19 +235,6 @@ fn of_rest(
     }
 }
 
-/// Why a typical magnitude is not detectable; `None` where it is.
-pub(super) fn insufficient(evidence: &CandidateScore) -> Option<Reason> {
-    if evidence.z_typical >= MIN_Z {
-        None
-    } else if evidence.z_unadjusted < MIN_Z {
-        Some(Reason::HardlyChangesField)
-    } else if evidence.z_white_noise < MIN_Z {
-        Some(Reason::Confounded)
-    } else {
-        Some(Reason::Masked)
-    }
-}
-
 /// Verdict on an effect that explains part of the residual without being accepted.
 fn remainder(screened: &ScreenedEffect, selection: &Selection) -> (VerdictKind, Reason) {
     match selection.forms(screened).next() {
@@ -262,27 +246,5 @@ fn remainder(screened: &ScreenedEffect, selection: &Selection) -> (VerdictKind, 
             (VerdictKind::Inconclusive, Reason::Unconfirmed)
         }
         None => (VerdictKind::Inconclusive, Reason::OtherCause),
-    }
-}
-
-/// Verdict on an effect that the recordings cannot test.
-pub(super) fn of_unjudged(unjudged: &UntestableEffect) -> Verdict {
-    Verdict {
-        effect: unjudged.effect.clone(),
-        kind: VerdictKind::Inconclusive,
-        provisional: false,
-        tied_with: Vec::new(),
-        reproduces: Vec::new(),
-        excess_n: None,
-        gain: 0.0,
-        p_adjusted: f64::NAN,
-        inclusion: f64::NAN,
-        value: f64::NAN,
-        std_error: f64::NAN,
-        unit: String::new(),
-        z_typical: 0.0,
-        implausible: None,
-        reason: unjudged.reason.clone(),
-        record: unjudged.record.clone(),
     }
 }
