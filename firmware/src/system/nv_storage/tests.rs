@@ -155,7 +155,8 @@ fn second_power_cut_leaves_old_or_new_values() {
         let flash = saved(count);
         let (old, new) = (load(&mut flash.clone()).parameters, parameters(count + 1));
         let all = operations(&flash, |flash| save(flash, &new).unwrap());
-        for (operation, first) in (0..all).flat_map(|at| CUTS.map(|cut| (at, cut))) {
+        let pairs = || (0..all).flat_map(|at| CUTS.map(|cut| (at, cut)));
+        for (index, (operation, first)) in pairs().enumerate() {
             let mut torn = flash.clone();
             assert!(save_with_cut(&mut torn, (operation, first), &[new]));
             let loaded = load(&mut torn);
@@ -171,8 +172,8 @@ fn second_power_cut_leaves_old_or_new_values() {
                 if loaded.is_settled && next == found {
                     continue;
                 }
-                // A third of them, of each operation and each kind.
-                for second in (0..all).flat_map(|at| CUTS.map(|cut| (at, cut))).step_by(3) {
+                // Every 13th, another one for each first cut: all operations with all kinds, within 13 first cuts.
+                for second in pairs().skip(index % 13).step_by(13) {
                     let mut flash = flash.clone();
                     let is_off = save_with_cut(&mut flash, second, &[next]);
                     let possible = if is_off { &possible[..] } else { &[next] };
@@ -183,7 +184,7 @@ fn second_power_cut_leaves_old_or_new_values() {
             }
         }
     }
-    assert!(cases > 50_000, "{cases}");
+    assert!(cases > 12_000, "{cases}");
 }
 
 #[test]
@@ -292,9 +293,18 @@ fn flip_of_any_bit_loses_no_key() {
     // In the middle of a page, over its end, in the next round, and one save a boot.
     let mut cases = 0;
     for (count, boots) in [(0, 0), (3, 0), (16, 0), (2, 5)] {
-        let flash = with_keys(count, boots);
+        let mut flash = with_keys(count, boots);
         let expected = load(&mut flash.clone()).parameters;
-        for at in 0..8 * PAGES * PAGE {
+        let is_blank: Vec<bool> = (0..PAGES * PAGE / SLOT_BYTES)
+            .map(|slot| {
+                let mut bytes = [0; SLOT_BYTES];
+                block(flash.read((slot * SLOT_BYTES) as u32, &mut bytes)).unwrap();
+                bytes == [ERASED; SLOT_BYTES]
+            })
+            .collect();
+        // Of each byte of a record every bit, of a blank one another bit than of the byte before.
+        let is_flipped = |at: &usize| !is_blank[at / 8 / SLOT_BYTES] || at % 8 == at / 8 % 8;
+        for at in (0..8 * PAGES * PAGE).filter(is_flipped) {
             let mut flash = flash.clone();
             flash.flip(at / 8, at % 8);
             let case = std::format!("{count} {boots}, bit {at}");
@@ -303,7 +313,7 @@ fn flip_of_any_bit_loses_no_key() {
             cases += 1;
         }
     }
-    assert_eq!(cases, 262_144);
+    assert!(cases > 60_000, "{cases}");
 }
 
 #[test]
