@@ -1,6 +1,6 @@
 //! Access to a real, virtual or emulated gripper: transport, session, state, recording.
 //!
-//! - [`source`]: trait of a transport.
+//! - [`source`]: trait of a transport; [`connect`]: opens one by its name.
 //! - [`serial_port`], [`socket_can`], [`socketcand`]: serial line, CAN bus of this machine, CAN bus over TCP.
 //! - [`pty`]: pseudo terminal.
 //! - [`virtual_board`]: the firmware's tasks in virtual time, synchronised to the wall clock, behind pseudo terminals.
@@ -23,6 +23,7 @@
 pub mod board_topics;
 pub mod bringup;
 pub mod calibration_client;
+pub mod connect;
 pub mod control;
 pub mod csv_writer;
 #[cfg(unix)]

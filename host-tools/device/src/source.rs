@@ -10,10 +10,6 @@ use firmware::protocol::frame_id;
 use firmware::protocol::messages::Message;
 use firmware::protocol::serial::Packet;
 
-use crate::serial_port::SerialLine;
-use crate::socket_can::CanBus;
-use crate::socketcand::client::RemoteBus;
-
 /// Maximum waiting time of [`Source::receive`].
 pub const WAIT: Duration = Duration::from_millis(50);
 
@@ -83,23 +79,6 @@ pub trait Source {
         sleep(time);
         Ok(())
     }
-}
-
-/// Opens a serial port, or a CAN bus: an interface of this machine, or HOST:PORT of a server; `None` without both.
-///
-/// # Errors
-/// It cannot be opened.
-pub fn open(
-    port: Option<&str>,
-    bus: Option<&str>,
-    node: u16,
-) -> Result<Option<Box<dyn Source + Send>>> {
-    Ok(match (port, bus) {
-        (Some(port), _) => Some(Box::new(SerialLine::open(port)?)),
-        (None, Some(bus)) if bus.contains(':') => Some(Box::new(RemoteBus::open(bus, node)?)),
-        (None, Some(interface)) => Some(Box::new(CanBus::open(interface, node)?)),
-        (None, None) => None,
-    })
 }
 
 /// Packet for a CAN frame of a node; `None` for other identifiers or invalid frames.

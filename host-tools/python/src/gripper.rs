@@ -8,10 +8,11 @@ use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
+use device::control::outcome::Outcome;
 use device::control::result_code::ResultCode;
-use device::control::session::{Outcome, Session, View};
+use device::control::session::{Session, View};
 use device::control::{Request, SessionOptions, WidthWindow};
-use device::{key_file, source};
+use device::{connect, key_file};
 use firmware::grip::commands::GripProfile;
 use firmware::protocol::DEFAULT_NODE;
 use pyo3::create_exception;
@@ -171,7 +172,7 @@ impl Gripper {
     }
 
     fn session(&self, options: SessionOptions, interrupted: &Arc<AtomicBool>) -> Result<Session> {
-        let source = source::open(self.port.as_deref(), self.bus.as_deref(), self.node)?;
+        let source = connect::open(self.port.as_deref(), self.bus.as_deref(), self.node)?;
         let source = source.context("give port= or can=")?;
         let credentials = key_file::credentials(self.node, self.key.clone())?;
         Ok(Session::new(source, credentials, options, interrupted.clone()))

@@ -86,10 +86,10 @@ impl Person {
 
 impl Operator for Person {
     fn act(&mut self, action: Action) -> Result<()> {
-        if let Action::Connect(step) = action {
-            let step_text = &STEPS[step];
-            eprintln!("\nStep {} of {}: {}", step + 1, STEPS.len(), step_text.name);
-            eprintln!("Expected: {}.", step_text.expectation());
+        if let Action::Connect { step: number, .. } = action {
+            let step = &STEPS[number - 1];
+            eprintln!("\nStep {number} of {}: {}", STEPS.len(), step.name);
+            eprintln!("Expected: {}.", step.expectation());
         }
         self.answer(&format!("{action} [Enter]")).map(|_| ())
     }

@@ -17,12 +17,11 @@ use crate::commands::args::parse_number;
 use crate::commands::output::INTERRUPTED;
 use analysis::compare::campaign_reader::read_campaign;
 use analysis::fit::fit_campaign;
-use device::key_file;
 use device::reference::{ReferenceMapping, ReferenceSource};
 use device::session::{Credentials, SessionSource, with_session};
-use device::source::{self, Source};
-use device::virtual_board::Unplug;
-use device::virtual_board::world::SensorInput;
+use device::source::Source;
+use device::virtual_board::world::{SensorInput, Unplug};
+use device::{connect, key_file};
 use device_run::networks::NetworkSet;
 
 /// Reference next to a gripper.
@@ -87,7 +86,7 @@ pub struct PortArgs {
 impl PortArgs {
     /// Opens the connection; `None` if neither port nor bus is given.
     pub fn open(&self) -> Result<Option<Box<dyn Source + Send>>> {
-        source::open(self.port.as_deref(), self.can.as_deref(), self.node)
+        connect::open(self.port.as_deref(), self.can.as_deref(), self.node)
     }
 
     /// Opens the connection.

@@ -82,10 +82,10 @@ impl Operator for Person {
     fn act(&mut self, action: Action) -> Result<()> {
         let cell = &mut *self.cell.borrow_mut();
         match action {
-            Action::Connect(step) if step + 1 == 7 => {
+            Action::Connect { step: 7, .. } => {
                 cell.gripper.borrow_mut().rig.plant.set_supply(12.0);
             }
-            Action::Connect(_) => {}
+            Action::Connect { .. } => {}
             Action::Press(finger) => cell.gripper.borrow_mut().pressed_n[finger] = 20.0,
             Action::LetGo => cell.gripper.borrow_mut().pressed_n = [0.0; 2],
             Action::Turn => cell.gripper.borrow_mut().rig.plant.train.angle_rad += 1.5,

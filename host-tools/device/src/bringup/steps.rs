@@ -14,8 +14,8 @@ use firmware::protocol::serial::Tick;
 use firmware::sensors::hall::SENSORS;
 use firmware::system::faults::Fault;
 
-use crate::bringup::gripper::Observed;
-use crate::bringup::{Action, BringUp, Reading, Step};
+use super::gripper::Observed;
+use super::step::{Action, BringUp, Reading, Step};
 use crate::state::GripperState;
 
 /// All steps.

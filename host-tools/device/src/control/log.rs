@@ -1,10 +1,9 @@
-//! States and measurements during a session, and its result.
+//! States and measurements during a session.
 
 use std::sync::mpsc::Sender;
 
 use serde_json::{Value, json};
 
-use super::session::Outcome;
 use crate::format::{self, GripValues, rounded};
 use crate::session::Client;
 
@@ -35,10 +34,10 @@ pub struct CommandLog {
     line_s: f64,
     point_s: f64,
     /// Kept for the JSON object at the end only: a hold lasts hours.
-    points: Vec<Value>,
-    states: Vec<Value>,
+    pub(super) points: Vec<Value>,
+    pub(super) states: Vec<Value>,
     /// All faults of the session in JSON, by their first time.
-    faults: Vec<Value>,
+    pub(super) faults: Vec<Value>,
     /// Printed last: a line that differs only in its time is omitted.
     last_line: String,
 }
@@ -137,52 +136,8 @@ impl CommandLog {
         }
     }
 
-    fn state_text(&self) -> String {
+    pub(super) fn state_text(&self) -> String {
         self.state.map_or("unknown".to_owned(), format::state_name)
-    }
-}
-
-impl Outcome {
-    /// Last JSON object of the events of a session.
-    pub fn result_line(&self) -> String {
-        event_line("result", &self.result_json()) + "\n"
-    }
-
-    /// The session as JSON.
-    pub fn json(&self) -> Value {
-        json!({
-            "simulated": false,
-            "gripper": self.gripper,
-            "result": self.result_json(),
-            "reached": self.is_reached,
-            "error": self.error_text(),
-            "disabled": self.is_disabled,
-            "left_gripped": self.is_left_gripped,
-            "states": self.log.states,
-            "points": self.log.points,
-            "faults": self.log.faults,
-        })
-    }
-
-    pub fn result_json(&self) -> Value {
-        let mut result = json!(self.measured);
-        result["code"] = self.code.name().into();
-        result["status"] = self.code.status().into();
-        result["error"] = self.error_text().into();
-        result
-    }
-
-    fn error_text(&self) -> Option<String> {
-        self.error.as_ref().map(|error| format!("{error:#}"))
-    }
-
-    /// The session as text, if it has no error.
-    pub fn text(&self) -> String {
-        let Measured { force_n, opening_mm, .. } = &self.measured;
-        let values = force_n.zip(*opening_mm).map_or_else(String::new, |(force_n, opening_mm)| {
-            format!(" with {force_n:.1} N at {opening_mm:.2} mm")
-        });
-        format!("Done{values}. The gripper is in state {}.\n", self.log.state_text())
     }
 }
 
@@ -212,7 +167,8 @@ impl Measured {
     }
 }
 
-fn event_line(event: &str, object: &Value) -> String {
+/// A JSON object with the name of its event first.
+pub(super) fn event_line(event: &str, object: &Value) -> String {
     let mut line = json!({ "event": event });
     if let (Some(line), Some(object)) = (line.as_object_mut(), object.as_object()) {
         line.extend(object.clone());

@@ -3,11 +3,12 @@
 //! - here: requests and options of a session.
 //! - [`session`]: the steps of a session.
 //! - `ending`: the end of a session, which undoes only what the session has begun.
-//! - [`log`]: states and measurements during a session, and its result.
-//! - [`result_code`]: results as codes.
+//! - [`log`]: states and measurements during a session.
+//! - [`outcome`]: the result of a session; [`result_code`]: results as codes.
 
 mod ending;
 pub mod log;
+pub mod outcome;
 pub mod result_code;
 pub mod session;
 

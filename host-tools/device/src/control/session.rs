@@ -13,6 +13,7 @@ use firmware::protocol::session::{op, status};
 use firmware::system::faults::Fault;
 
 use super::log::{CommandLog, Measured};
+use super::outcome::Outcome;
 use super::result_code::ResultCode;
 use super::{Request, SessionOptions, mode_command};
 use crate::format;
@@ -78,23 +79,6 @@ pub struct View {
     /// The set-point was reached.
     #[serde(skip)]
     pub is_reached: bool,
-}
-
-/// How a session ended.
-pub struct Outcome {
-    pub code: ResultCode,
-    /// Why it is not [`ResultCode::Reached`].
-    pub error: Option<Error>,
-    /// Measurements when the result was determined.
-    pub measured: Measured,
-    /// The set-point was reached at any time.
-    pub is_reached: bool,
-    /// The drive is disabled.
-    pub is_disabled: bool,
-    /// What is gripped is left gripped.
-    pub is_left_gripped: bool,
-    pub(super) gripper: String,
-    pub(super) log: CommandLog,
 }
 
 /// Result of waiting for a condition.

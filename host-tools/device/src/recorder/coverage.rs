@@ -8,8 +8,8 @@ use device_run::channel_map::covariate_values;
 use firmware::config::constants;
 use model_export::recordings::columns::{Axis, COVARIATES};
 
+use super::rows::SensorRow;
 use crate::format::degrees;
-use crate::recorder::SensorRow;
 
 /// Period of the averaged forces in microseconds.
 const FORCE_PERIOD_US: u64 = 10_000;

@@ -1,4 +1,4 @@
-use firmware::compensation::covariates::AttitudeSample;
+use firmware::compensation::covariates::{AttitudeSample, Covariates};
 use firmware::sensors::hall::HallReading;
 use model_export::recordings::Recording;
 use model_export::recordings::align::Alignment;

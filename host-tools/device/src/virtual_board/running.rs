@@ -20,8 +20,7 @@ use model_export::recordings::stream::RawStream;
 use crate::pty::Pty;
 use crate::serial_port::SerialLine;
 use crate::source::Source;
-use crate::virtual_board::Unplug;
-use crate::virtual_board::world::SensorInput;
+use crate::virtual_board::world::{SensorInput, Unplug};
 use device_run::networks::NetworkSet;
 use sim::board::{Program, VirtualTimeBoard};
 

@@ -7,7 +7,8 @@ use std::thread;
 
 use anyhow::{Result, bail};
 use device::control::log::LineFormat;
-use device::control::session::{Outcome, Session};
+use device::control::outcome::Outcome;
+use device::control::session::Session;
 use device::control::{Request, SessionOptions};
 use device::params_client;
 use firmware::config::limits::GripLimits;
