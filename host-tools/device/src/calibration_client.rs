@@ -8,7 +8,6 @@ use firmware::motor::calibration::{CalibrationFailure, CalibrationKind};
 use firmware::protocol::authentication::Key;
 use firmware::protocol::host_session::service;
 use firmware::protocol::messages::{CalibrationChunk, KeyPart, Message, ServiceReply, Version};
-use firmware::protocol::serial::Packet;
 use firmware::protocol::session::{UNLOADED, op, status};
 use firmware::system::nv_storage::calibration::{
     CHUNK_BYTES, CHUNKS_PER_GROUP, MAX_BYTES, UploadError,
@@ -17,7 +16,7 @@ use model_export::inverse::calibration::CalibrationDescription;
 use serde::Serialize;
 
 use crate::session::SessionSource;
-use crate::source::{ConnectionLost, Source};
+use crate::source::{self, Source, ask_once, messages};
 
 /// Timeout of a request and number of attempts.
 const PATIENCE: Duration = Duration::from_millis(500);
@@ -394,45 +393,11 @@ fn ask<T>(
     patience: Duration,
     answer: impl Fn(&Message) -> Option<T>,
 ) -> Result<T> {
-    for _ in 0..TIMES {
-        if let Some(answer) = ask_once(source, message, patience, &answer)? {
-            return Ok(answer);
-        }
-    }
-    Err(ConnectionLost::unreachable(&source.name()).into())
-}
-
-/// Sends a request once; none without an answer in time.
-fn ask_once<T>(
-    source: &mut dyn Source,
-    message: Message,
-    patience: Duration,
-    answer: impl Fn(&Message) -> Option<T>,
-) -> Result<Option<T>> {
-    source.send(message)?;
-    let asked = source.now();
-    while source.now() < asked + patience {
-        if let Some(answer) = messages(source)?.iter().find_map(&answer) {
-            return Ok(Some(answer));
-        }
-    }
-    Ok(None)
+    source::ask(source, message, (patience, TIMES), answer)
 }
 
 fn replies(source: &mut dyn Source, op: u8) -> Result<Vec<ServiceReply>> {
     Ok(messages(source)?.iter().filter_map(|message| reply(message, op)).collect())
-}
-
-fn messages(source: &mut dyn Source) -> Result<Vec<Message>> {
-    let mut packets = Vec::new();
-    if !source.receive(&mut packets)? && packets.is_empty() {
-        bail!("{}: connection closed", source.name());
-    }
-    let message = |packet| match packet {
-        Packet::Message { message, .. } => Some(message),
-        Packet::Tick(_) => None,
-    };
-    Ok(packets.into_iter().filter_map(message).collect())
 }
 
 fn reply(message: &Message, op: u8) -> Option<ServiceReply> {

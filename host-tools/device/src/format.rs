@@ -13,6 +13,7 @@ use firmware::sensors::hall;
 use firmware::system::faults::Fault;
 use firmware::system::nv_storage::ParameterOrigin;
 use firmware::tasks::calibration::CalibrationDefect;
+use serde::Serialize;
 use serde_json::{Value, json};
 use std::fmt::Debug;
 
@@ -144,7 +145,7 @@ pub fn state_json(state: &GripperState, now_s: f64) -> Value {
             "failed_transfers": latest.value.i2c_errors,
             "missed_ticks": latest.value.missed_ticks,
         })),
-        "grip": state.grip.map(|latest| GripValues::of(&latest.value).json()),
+        "grip": state.grip.map(|latest| GripValues::of(&latest.value)),
         "covariates": state.covariates.map(|latest| covariates_json(&latest.value)),
         "power": state.power.map(|latest| power_json(&latest.value)),
         "ticks_hz": state.ticks_hz,
@@ -246,7 +247,7 @@ fn covariates_json(covariates: &Covariates) -> Value {
 }
 
 /// Status of the grip in SI units and millimetres.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct GripValues {
     /// Grasping force in newtons.
     pub force_n: f64,
@@ -275,15 +276,6 @@ impl GripValues {
         let opening =
             self.opening_mm.map_or_else(|| "unknown".to_owned(), |mm| format!("{mm:>6.2} mm"));
         format!("force {force_n:>6.1} N  opening {opening}  current {current_a:>6.2} A")
-    }
-
-    fn json(&self) -> Value {
-        json!({
-            "force_n": self.force_n,
-            "opening_mm": self.opening_mm,
-            "opening_mm_s": self.opening_mm_s,
-            "current_a": self.current_a,
-        })
     }
 }
 

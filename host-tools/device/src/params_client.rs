@@ -6,14 +6,12 @@ use anyhow::{Result, bail};
 use firmware::parameters::schema::PARAMETERS;
 use firmware::parameters::{op, status};
 use firmware::protocol::messages::{Message, ParamReply, ParamRequest};
-use firmware::protocol::serial::Packet;
 
 use crate::session::SessionSource;
-use crate::source::{ConnectionLost, Source};
+use crate::source::{self, Source};
 
 /// Timeout of a request and number of attempts.
-const PATIENCE: Duration = Duration::from_millis(250);
-const TIMES: u32 = 8;
+const ATTEMPTS: (Duration, u32) = (Duration::from_millis(250), 8);
 
 /// Reads a parameter.
 ///
@@ -33,32 +31,13 @@ pub fn write(source: &mut SessionSource<'_>, id: u16, value: i32) -> Result<()> 
 
 fn ask(source: &mut dyn Source, op: u8, id: u16, value: i32) -> Result<i32> {
     let request = ParamRequest { op, id, value: value as u32, ..ParamRequest::default() };
-    for _ in 0..TIMES {
-        source.send(Message::ParamRequest(request))?;
-        let asked = source.now();
-        while source.now() < asked + PATIENCE {
-            let mut packets = Vec::new();
-            let goes_on = source.receive(&mut packets)?;
-            let answer = packets.iter().find_map(|packet| reply(packet, op, id));
-            match answer {
-                Some(reply) if reply.status == status::DONE => return Ok(reply.value as i32),
-                Some(reply) => bail!("{}", refused(source, &reply)),
-                None if goes_on => {}
-                None => bail!("{}: connection closed before the reply", source.name()),
-            }
-        }
-    }
-    Err(ConnectionLost::unreachable(&source.name()).into())
-}
-
-fn reply(packet: &Packet, op: u8, id: u16) -> Option<ParamReply> {
-    match packet {
-        Packet::Message { message: Message::ParamReply(reply), .. }
-            if reply.op == op && reply.id == id =>
-        {
-            Some(*reply)
-        }
-        _ => None,
+    let reply = source::ask(source, Message::ParamRequest(request), ATTEMPTS, |message| {
+        let Message::ParamReply(reply) = message else { return None };
+        (reply.op == op && reply.id == id).then_some(*reply)
+    })?;
+    match reply.status {
+        status::DONE => Ok(reply.value as i32),
+        _ => bail!("{}", refused(source, &reply)),
     }
 }
 

@@ -1,7 +1,7 @@
 //! Pseudo terminal: a serial line between two programs.
 
 use std::fs::File;
-use std::io::{self, ErrorKind, Read, Write};
+use std::io::{self, Read, Write};
 use std::os::fd::OwnedFd;
 use std::path::PathBuf;
 use std::thread;
@@ -11,6 +11,8 @@ use rustix::fs::{Mode, OFlags, open};
 use rustix::io::{ioctl_fionbio, ioctl_fionread};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{OptionalActions, QueueSelector, tcflush, tcgetattr, tcsetattr};
+
+use crate::source::is_pending;
 
 /// A reader that takes nothing for this time has stopped reading.
 const STALLED: Duration = Duration::from_secs(1);
@@ -111,9 +113,7 @@ impl Pty {
 /// No data is not an error.
 fn taken(result: io::Result<usize>) -> io::Result<usize> {
     match result {
-        Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted) => {
-            Ok(0)
-        }
+        Err(error) if is_pending(&error) => Ok(0),
         result => result,
     }
 }

@@ -7,7 +7,7 @@ use firmware::protocol::messages::Message;
 use firmware::protocol::serial::{BAUD_RATE, MAX_PACKET_BYTES, Packet, PacketDecoder, encode};
 use serialport::{ClearBuffer, SerialPort};
 
-use crate::source::{ConnectionLost, Source, WAIT};
+use crate::source::{ConnectionLost, Source, WAIT, is_pending};
 
 pub struct SerialLine {
     port: Box<dyn SerialPort>,
@@ -40,7 +40,7 @@ impl Source for SerialLine {
         let count = match self.port.read(&mut self.bytes) {
             Ok(0) => bail!(gone(&self.path, &io::Error::from(ErrorKind::UnexpectedEof))),
             Ok(count) => count,
-            Err(error) if is_silence(&error) => 0,
+            Err(error) if is_pending(&error) => 0,
             Err(error) => bail!(gone(&self.path, &error)),
         };
         let bytes = self.bytes.iter().take(count);
@@ -64,10 +64,6 @@ impl Source for SerialLine {
     fn name(&self) -> String {
         self.path.clone()
     }
-}
-
-fn is_silence(error: &io::Error) -> bool {
-    matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted | ErrorKind::WouldBlock)
 }
 
 fn gone(path: &str, error: &io::Error) -> ConnectionLost {

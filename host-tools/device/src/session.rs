@@ -3,7 +3,7 @@
 
 use crate::control::CLOSED_MM;
 use crate::format::state_name;
-use crate::source::{ConnectionLost, SILENCE, Source};
+use crate::source::{ConnectionLost, SILENCE, Source, messages};
 use crate::state::GripperState;
 use anyhow::{Result, bail};
 use firmware::config::limits::GripLimits;
@@ -58,45 +58,51 @@ impl SessionSource<'_> {
     }
 
     fn open(&mut self) -> Result<()> {
-        let begun = self.source.now();
-        let mut refused = None;
-        while self.source.now() < begun + REQUESTS {
-            for message in self.session.open(op::OPEN) {
-                self.source.send(message)?;
-            }
-            let asked = self.source.now();
-            while self.source.now() < asked + REQUEST {
-                let mut packets = Vec::new();
-                let goes_on = self.source.receive(&mut packets)?;
-                for packet in packets {
-                    let Packet::Message { message: Message::ServiceReply(reply), .. } = packet
-                    else {
-                        continue;
-                    };
-                    if reply.op == op::OPEN {
-                        refused = Some(reply.status);
-                    }
-                    for answer in self.session.receive(&reply) {
-                        self.source.send(answer)?;
-                    }
-                }
-                if self.session.is_open() {
-                    self.sealed = self.source.now();
-                    return Ok(());
-                }
-                if !goes_on {
-                    bail!("{}: connection closed", self.source.name());
-                }
-            }
-        }
+        let opened = open(self.source, &mut self.session, op::OPEN, REQUESTS)?;
         let name = self.source.name();
-        match refused {
-            Some(status) => {
+        match opened {
+            Ok(()) => {
+                self.sealed = self.source.now();
+                Ok(())
+            }
+            Err(Some(status)) => {
                 bail!("{name}: the gripper opens no session: {}", session_refusal(status))
             }
-            None => Err(ConnectionLost::unreachable(&name).into()),
+            Err(None) => Err(ConnectionLost::unreachable(&name).into()),
         }
     }
+}
+
+/// Requests a session by this operation until it is open, for a limited time; the status of the last refusal where it is not.
+pub(crate) fn open(
+    source: &mut dyn Source,
+    session: &mut HostSession,
+    op: u8,
+    limit: Duration,
+) -> Result<Result<(), Option<u8>>> {
+    let begun = source.now();
+    let mut refused = None;
+    while source.now() < begun + limit {
+        for message in session.open(op) {
+            source.send(message)?;
+        }
+        let asked = source.now();
+        while source.now() < asked + REQUEST {
+            for message in messages(source)? {
+                let Message::ServiceReply(reply) = message else { continue };
+                if reply.op == op {
+                    refused = Some(reply.status);
+                }
+                for answer in session.receive(&reply) {
+                    source.send(answer)?;
+                }
+            }
+            if session.is_armed() || op == op::OPEN && session.is_open() {
+                return Ok(Ok(()));
+            }
+        }
+    }
+    Ok(Err(refused))
 }
 
 impl Source for SessionSource<'_> {

@@ -5,7 +5,7 @@ pub use linux::{Bridge, CanBus};
 
 #[cfg(target_os = "linux")]
 mod linux {
-    use std::io::{self, ErrorKind};
+    use std::io;
     use std::time::{Duration, Instant};
 
     use anyhow::{Result, anyhow, bail};
@@ -15,7 +15,7 @@ mod linux {
     use firmware::protocol::{can as wire, frame_id};
     use socketcan::{CanFilter, CanFrame, CanSocket, Socket, SocketOptions};
 
-    use crate::source::{ConnectionLost, Source, WAIT, packet};
+    use crate::source::{ConnectionLost, Source, WAIT, is_pending, packet};
 
     /// Maximum number of frames per batch.
     const BATCH: usize = 64;
@@ -61,10 +61,6 @@ mod linux {
              up` starts the bus again"
         );
         ConnectionLost(text).into()
-    }
-
-    fn is_pending(error: &io::Error) -> bool {
-        matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted)
     }
 
     impl Source for CanBus {

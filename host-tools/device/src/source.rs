@@ -1,11 +1,11 @@
 //! Transport of packets from and to a gripper.
 
-use std::fmt;
 use std::sync::LazyLock;
 use std::thread::sleep;
 use std::time::{Duration, Instant};
+use std::{fmt, io};
 
-use anyhow::Result;
+use anyhow::{Result, bail};
 use firmware::protocol::frame_id;
 use firmware::protocol::messages::Message;
 use firmware::protocol::serial::Packet;
@@ -79,6 +79,66 @@ pub trait Source {
         sleep(time);
         Ok(())
     }
+}
+
+/// Whether a read or a write has only to be tried again.
+pub(crate) fn is_pending(error: &io::Error) -> bool {
+    use io::ErrorKind::{Interrupted, TimedOut, WouldBlock};
+    matches!(error.kind(), WouldBlock | TimedOut | Interrupted)
+}
+
+/// Messages that arrive within [`WAIT`], without ticks.
+///
+/// # Errors
+/// The connection is lost or closed.
+pub fn messages(source: &mut dyn Source) -> Result<Vec<Message>> {
+    let mut packets = Vec::new();
+    if !source.receive(&mut packets)? && packets.is_empty() {
+        bail!("{}: connection closed", source.name());
+    }
+    let message = |packet| match packet {
+        Packet::Message { message, .. } => Some(message),
+        Packet::Tick(_) => None,
+    };
+    Ok(packets.into_iter().filter_map(message).collect())
+}
+
+/// Sends a request until it is answered: time for an answer, and number of attempts.
+///
+/// # Errors
+/// No answer, or the connection is lost.
+pub fn ask<T>(
+    source: &mut dyn Source,
+    request: Message,
+    (patience, times): (Duration, u32),
+    answer: impl Fn(&Message) -> Option<T>,
+) -> Result<T> {
+    for _ in 0..times {
+        if let Some(answer) = ask_once(source, request, patience, &answer)? {
+            return Ok(answer);
+        }
+    }
+    Err(ConnectionLost::unreachable(&source.name()).into())
+}
+
+/// Sends a request once; none without an answer in time.
+///
+/// # Errors
+/// The connection is lost.
+pub fn ask_once<T>(
+    source: &mut dyn Source,
+    request: Message,
+    patience: Duration,
+    answer: impl Fn(&Message) -> Option<T>,
+) -> Result<Option<T>> {
+    source.send(request)?;
+    let asked = source.now();
+    while source.now() < asked + patience {
+        if let Some(answer) = messages(source)?.iter().find_map(&answer) {
+            return Ok(Some(answer));
+        }
+    }
+    Ok(None)
 }
 
 /// Packet for a CAN frame of a node; `None` for other identifiers or invalid frames.

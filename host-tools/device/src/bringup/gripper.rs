@@ -11,7 +11,7 @@ use firmware::protocol::messages::{Command, EStop, Message};
 use firmware::protocol::serial::{Packet, Tick};
 use firmware::protocol::session::op;
 
-use crate::session::{Credentials, with_session};
+use crate::session::{self, Credentials, with_session};
 use crate::source::Source;
 use crate::state::GripperState;
 use crate::{calibration_client, params_client};
@@ -55,7 +55,7 @@ impl Gripper<'_> {
         Ok(observed)
     }
 
-    fn receive(&mut self, observed: &mut Observed) -> Result<Vec<Packet>> {
+    fn receive(&mut self, observed: &mut Observed) -> Result<()> {
         let mut packets = Vec::new();
         if !self.source.receive(&mut packets)? {
             bail!("{}: connection closed", self.source.name());
@@ -67,7 +67,7 @@ impl Gripper<'_> {
                 observed.ticks.push(*tick);
             }
         }
-        Ok(packets)
+        Ok(())
     }
 
     /// Restarts the firmware.
@@ -109,32 +109,13 @@ impl Gripper<'_> {
 
     /// Opens a session with motion.
     pub fn arm(&mut self) -> Result<Armed<'_>> {
-        let mut session = HostSession::new(self.credentials.node, self.credentials.key);
-        let begun = self.source.now();
-        let mut observed = Observed::default();
-        while self.source.now() < begun + ARMING {
-            for message in session.open(op::ARM) {
-                self.source.send(message)?;
-            }
-            let asked = self.source.now();
-            while self.source.now() < asked + Duration::from_millis(250) {
-                for packet in self.receive(&mut observed)? {
-                    let Packet::Message { message: Message::ServiceReply(reply), .. } = packet
-                    else {
-                        continue;
-                    };
-                    for answer in session.receive(&reply) {
-                        self.source.send(answer)?;
-                    }
-                }
-                if session.is_armed() {
-                    let Self { source, credentials } = self;
-                    let gripper = Gripper { source: &mut **source, credentials: *credentials };
-                    return Ok(Armed { gripper, session });
-                }
-            }
+        let Self { source, credentials } = self;
+        let mut session = HostSession::new(credentials.node, credentials.key);
+        if session::open(&mut **source, &mut session, op::ARM, ARMING)?.is_err() {
+            bail!("the gripper cannot be armed: see the faults in `cargo magpie monitor`");
         }
-        bail!("the gripper cannot be armed: see the faults in `cargo magpie monitor`")
+        let gripper = Gripper { source: &mut **source, credentials: *credentials };
+        Ok(Armed { gripper, session })
     }
 }
 

@@ -12,7 +12,7 @@ use firmware::protocol::messages::Message;
 use firmware::protocol::serial::Packet;
 
 use crate::socketcand::{Element, Elements};
-use crate::source::{ConnectionLost, Source, WAIT, packet};
+use crate::source::{ConnectionLost, Source, WAIT, is_pending, packet};
 
 /// Timeout of each step of the connection.
 const ANSWER: Duration = Duration::from_secs(5);
@@ -91,10 +91,8 @@ impl RemoteBus {
         let count = match self.stream.read(&mut bytes) {
             Ok(0) => return Err(self.gone(&ErrorKind::UnexpectedEof.into())),
             Ok(count) => count,
-            Err(error) => match error.kind() {
-                ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted => 0,
-                _ => return Err(self.gone(&error)),
-            },
+            Err(error) if is_pending(&error) => 0,
+            Err(error) => return Err(self.gone(&error)),
         };
         for byte in bytes.iter().take(count) {
             match self.elements.take(*byte) {

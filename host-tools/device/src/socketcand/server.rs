@@ -1,13 +1,14 @@
 //! Server: clients on this machine, each a node of the bus.
 
 use std::collections::VecDeque;
-use std::io::{self, ErrorKind, Read, Write};
+use std::io::{Read, Write};
 use std::net::{Ipv4Addr, SocketAddr, TcpListener, TcpStream};
 
 use anyhow::{Context, Result};
 use firmware::protocol::can::CanFrame;
 
 use crate::socketcand::{Element, Elements};
+use crate::source::is_pending;
 
 /// Maximum number of unread bytes before a client is disconnected.
 const UNREAD: usize = 1 << 20;
@@ -201,10 +202,6 @@ impl Client {
             Err("it does not read its data".to_owned())
         }
     }
-}
-
-fn is_pending(error: &io::Error) -> bool {
-    matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted)
 }
 
 #[cfg(test)]
