@@ -131,13 +131,24 @@ impl CampaignCopy {
 
     /// Modifies the table `name` (without .gz) of these recordings.
     pub fn change(self, recordings: &[u32], name: &str, change: impl Fn(&mut CsvTable)) -> Self {
-        for &recording in recordings {
-            let path = self.recording(recording).join(format!("{name}.gz"));
-            let mut cells = CsvTable::read(&path);
-            change(&mut cells);
-            fs::remove_file(path).expect("removed");
-            cells.write(&self.recording(recording), name);
-        }
+        change_tables(&self.path(), recordings, name, change);
         self
+    }
+}
+
+/// Modifies the table `name` (without .gz) of these recordings of a campaign.
+pub fn change_tables(
+    campaign: &Path,
+    recordings: &[u32],
+    name: &str,
+    change: impl Fn(&mut CsvTable),
+) {
+    for recording in recordings {
+        let folder = campaign.join(recording.to_string());
+        let path = folder.join(format!("{name}.gz"));
+        let mut cells = CsvTable::read(&path);
+        change(&mut cells);
+        fs::remove_file(path).expect("removed");
+        cells.write(&folder, name);
     }
 }

@@ -3,7 +3,6 @@
 
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Output};
 
 use model_export::effects::{
     CATALOGUE, DeviceForm, Effect, EffectStage, EffectTerm, FinalState, ParameterKind, Signature,
@@ -14,19 +13,14 @@ use model_export::inverse::static_model::StaticModel;
 use model_export::physics::ForwardModel;
 use model_export::recordings::columns::COVARIATES;
 use model_export::recordings::description::NominalDesign;
-use serde_json::Value;
 use sim::effects::find_kind;
-use tempfile::TempDir;
-use tests::data;
+
+use crate::workdir::{WorkDir, diagnosis};
 
 /// Resolution of the sensor, any.
 const GAUSS_PER_LSB: f64 = 0.125;
 /// Recordings of the campaign to which parameters apply.
 const RECORDINGS: usize = 2;
-
-fn magpie(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_magpie")).args(arguments).output().expect("the command runs")
-}
 
 #[test]
 fn ids_are_unique_and_confusable_ids_exist() {
@@ -63,12 +57,11 @@ fn effects_with_a_common_signature_are_stated_as_confusable() {
 
 #[test]
 fn every_effect_is_simulated_or_has_a_reason() {
-    let folder = TempDir::new().unwrap();
+    let dir = WorkDir::empty();
     let simulate = |name: &str, more: &[&str]| {
-        let path = folder.path().join(name);
         let arguments = ["simulate", "--seconds", "4", "--sensors", "1", "--recordings", "2", "-o"];
-        let output = magpie(&[&arguments[..], &[path.to_str().unwrap()], more].concat());
-        (output.status.success(), path)
+        let output = dir.run(&[&arguments[..], &[name], more].concat());
+        (output.status.success(), dir.path(name))
     };
     let contents = |campaign: &Path, file: &str| {
         ["1", "2"].map(|recording| fs::read(campaign.join(recording).join(file)).unwrap())
@@ -132,13 +125,7 @@ fn every_effect_is_compensated_or_has_a_reason() {
 
 #[test]
 fn every_effect_is_diagnosed_or_has_a_reason() {
-    let folder = TempDir::new().unwrap();
-    let model = folder.path().join("model.toml").display().to_string();
-    let campaign = data("clean").display().to_string();
-    assert!(magpie(&["fit", &campaign, "-o", &model]).status.success());
-    let output = magpie(&["diagnose", &model, &campaign, "--json"]).stdout;
-    let diagnosis: Value = serde_json::from_slice(&output).expect("one JSON object");
-    let verdicts = diagnosis["verdicts"].as_array().unwrap();
+    let verdicts = diagnosis("clean")["verdicts"].as_array().unwrap();
     assert_eq!(verdicts.len(), CATALOGUE.len());
     for effect in CATALOGUE {
         let id = effect.id;

@@ -7,13 +7,7 @@ use model_export::recordings::align::Alignment;
 use serde_json::Value;
 use tests::data;
 
-use crate::workdir::{WorkDir, campaign, text};
-
-/// Diagnosis of a campaign with the model fitted to it.
-fn diagnosed(name: &str, more: &[&str]) -> Value {
-    let arguments = ["diagnose", "model.toml", &campaign(name), "--json"];
-    WorkDir::with_model(name).json(&[&arguments[..], more].concat())
-}
+use crate::workdir::{WorkDir, campaign, diagnosis, text};
 
 fn names(step: &Value) -> Vec<&str> {
     step.as_array().unwrap().iter().map(|name| name.as_str().unwrap()).collect()
@@ -52,19 +46,18 @@ fn report_contains_diagnosis_and_comparison() {
 
 #[test]
 fn clean_recordings_give_no_effect() {
-    let diagnosis = diagnosed("clean", &[]);
+    let diagnosis = diagnosis("clean");
     assert_eq!(diagnosis["accepted"], Value::Array(Vec::new()), "{}", diagnosis["verdict"]);
     assert_eq!(diagnosis["at_floor"], true);
     assert_eq!(diagnosis["unexplained"], Value::Array(Vec::new()));
     // Testable here: a neighbour magnet of typical magnitude would be detected.
-    assert_eq!(verdict(&diagnosis, "neighbour_magnet")["verdict"], "absent");
+    assert_eq!(verdict(diagnosis, "neighbour_magnet")["verdict"], "absent");
 }
 
 #[test]
 fn similarity_of_effects_is_that_of_their_patterns() {
-    let diagnosis = diagnosed("clean", &[]);
     let share = |one: &str, other: &str| {
-        let all = verdict(&diagnosis, one)["reproduces"].as_array().unwrap().iter();
+        let all = verdict(diagnosis("clean"), one)["reproduces"].as_array().unwrap().iter();
         let own = all.clone().find(|own| own["effect"] == other);
         own.unwrap_or_else(|| panic!("{one}: no {other}"))["share"].as_f64().unwrap()
     };
@@ -80,11 +73,10 @@ fn similarity_of_effects_is_that_of_their_patterns() {
 
 #[test]
 fn check_of_recordings_agrees_with_their_diagnosis() {
-    let diagnosis = diagnosed("clean", &[]);
     let campaign = Campaign::read(&data("clean"), Alignment { delay_us: 0.0 }, |_| ()).unwrap();
     let check = check_recordings(&campaign, FitOptions::default());
     let expected = |kind: &str| {
-        let verdicts = diagnosis["verdicts"].as_array().unwrap().iter();
+        let verdicts = diagnosis("clean")["verdicts"].as_array().unwrap().iter();
         let verdicts = verdicts.filter(|verdict| verdict["verdict"] == kind);
         let pair = |verdict: &Value| {
             (verdict["effect"].as_str().unwrap().to_owned(), verdict["z_typical"].as_f64().unwrap())
@@ -106,33 +98,33 @@ fn check_of_recordings_agrees_with_their_diagnosis() {
 
 #[test]
 fn neighbour_magnet_is_found() {
-    let diagnosis = diagnosed("demo", &[]);
+    let diagnosis = diagnosis("demo");
     let accepted = diagnosis["accepted"].as_array().unwrap();
     assert_eq!(names(&accepted[0]), ["neighbour_magnet"], "{}", diagnosis["verdict"]);
-    let found = verdict(&diagnosis, "neighbour_magnet");
+    let found = verdict(diagnosis, "neighbour_magnet");
     assert_eq!(found["verdict"], "found");
     // As `add` fits it: 2.88 G at an opening of 10 mm.
     let value = found["value"].as_f64().unwrap();
     assert!((2.7..3.1).contains(&value), "{value}");
-    let stairs = staircase(&diagnosis);
+    let stairs = staircase(diagnosis);
     assert!(stairs[0] > 5.0 && *stairs.last().unwrap() < 1.15, "{stairs:?}");
 }
 
 #[test]
 fn friction_and_magnet_temperature_are_both_found() {
-    let diagnosis = diagnosed("friction", &[]);
+    let diagnosis = diagnosis("friction");
     let accepted = diagnosis["accepted"].as_array().unwrap();
     let all: Vec<Vec<&str>> = accepted.iter().map(names).collect();
     assert!(all.contains(&vec!["hysteresis"]), "{all:?}");
     assert!(all.iter().any(|step| step.contains(&"magnet_temperature")), "{all:?}");
     assert_eq!(all.len(), 2, "{all:?}");
-    assert!(*staircase(&diagnosis).last().unwrap() < 1.15);
+    assert!(*staircase(diagnosis).last().unwrap() < 1.15);
 }
 
 #[test]
 fn formula_is_found_where_no_effect_of_the_catalogue_explains_the_residual() {
     let (dir, campaign) = (WorkDir::with_model("ripple"), campaign("ripple"));
-    let diagnosis = dir.json(&["diagnose", "model.toml", &campaign, "--json"]);
+    let diagnosis = diagnosis("ripple");
     assert_eq!(diagnosis["accepted"], Value::Array(Vec::new()), "{}", diagnosis["verdict"]);
     assert_eq!(diagnosis["at_floor"], true);
     assert_eq!(diagnosis["unexplained"], Value::Array(Vec::new()));
@@ -144,7 +136,7 @@ fn formula_is_found_where_no_effect_of_the_catalogue_explains_the_residual() {
     let runs = serde_json::json!([true, "while the rotor sensor works"]);
     assert_eq!(serde_json::json!([formula["device"]["runs"], formula["device"]["detail"]]), runs);
     assert!(formula["p_value"].as_f64().unwrap() < 0.01, "{formula}");
-    let stairs = staircase(&diagnosis);
+    let stairs = staircase(diagnosis);
     assert!(stairs[0] > 2.0 && *stairs.last().unwrap() < 1.15, "{stairs:?}");
     // The proposed command does what it states.
     let expression = formula["effects"][0]["expression"].as_str().unwrap();
@@ -158,7 +150,10 @@ fn formula_is_found_where_no_effect_of_the_catalogue_explains_the_residual() {
 #[test]
 fn user_formula_is_found_like_any_effect() {
     let formula = "ripple: dz_um = a*sin(2*pi*opening_mm/p) + b*cos(2*pi*opening_mm/p)";
-    let diagnosis = diagnosed("ripple", &["--range", "p=2..5", "--expr", formula]);
+    let campaign = campaign("ripple");
+    let arguments = ["diagnose", "model.toml", &campaign, "--json", "--range", "p=2..5"];
+    let diagnosis =
+        WorkDir::with_model("ripple").json(&[&arguments[..], &["--expr", formula]].concat());
     let accepted = diagnosis["accepted"].as_array().unwrap();
     assert_eq!(names(&accepted[0]), ["ripple"], "{}", diagnosis["verdict"]);
     assert!(*staircase(&diagnosis).last().unwrap() < 1.15);

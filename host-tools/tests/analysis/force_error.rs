@@ -6,7 +6,7 @@ use model_export::fit::FitOptions;
 use model_export::recordings::align::Alignment;
 use serde_json::Value;
 
-use crate::workdir::{WorkDir, campaign, text};
+use crate::workdir::{WorkDir, campaign, diagnosis, text};
 
 /// Largest difference of two statements of one number, in newtons.
 const SAME_N: f64 = 1e-6;
@@ -38,8 +38,7 @@ fn all_commands_state_the_same_force_error() {
         &dir.json(&format!("compare model.toml {friction} --json"))["force"],
         "compare",
     );
-    let diagnosis = dir.json(&format!("diagnose model.toml {friction} --json"));
-    assert_same(base, &diagnosis["staircase"][0]["force"], "diagnose");
+    assert_same(base, &diagnosis("friction")["staircase"][0]["force"], "diagnose");
 
     let added = dir.json(&format!("add model.toml {friction} hysteresis -o better.toml --json"));
     assert_same(base, &added["force"]["before"], "add, before");

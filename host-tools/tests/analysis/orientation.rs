@@ -5,6 +5,7 @@ use std::io;
 
 use flate2::read::GzDecoder;
 use serde_json::Value;
+use tests::campaign_copy::change_tables;
 
 use crate::workdir::WorkDir;
 
@@ -93,15 +94,9 @@ fn column_errors_of_a_turned_sensor_are_named_as_recorded() {
     dir.stdout(&format!("simulate -o sound --seconds 6 --sensors 1 {turned}"));
     dir.stdout("fit sound -o model.toml");
     dir.stdout(&format!("simulate -o broken --seconds 6 --sensors 1 {turned}"));
-    for recording in ["1", "2", "3"] {
-        let packed = dir.path("broken").join(recording).join("hall.csv.gz");
-        let mut text = String::new();
-        io::Read::read_to_string(&mut GzDecoder::new(File::open(&packed).unwrap()), &mut text)
-            .unwrap();
-        let exchanged = text.replacen("s0_x_lsb,s0_y_lsb", "s0_y_lsb,s0_x_lsb", 1);
-        fs::write(packed.with_extension(""), exchanged).unwrap();
-        fs::remove_file(packed).unwrap();
-    }
+    change_tables(&dir.path("broken"), &[1, 2, 3], "hall.csv", |hall| {
+        hall.exchange("s0_x_lsb", "s0_y_lsb");
+    });
     let comparison = dir.json("compare model.toml broken --json");
     let first = &comparison["findings"][0];
     assert_eq!(first["id"], "axis_permuted", "{comparison}");
@@ -117,21 +112,9 @@ fn reference_of_one_axis_determines_a_turned_sensor_next_to_a_nominal_one() {
         dir.stdout(&format!(
             "simulate -o {campaign} --seconds 6 --sensors {sensors} --orientation 0=+z+y-x"
         ));
-        for recording in ["1", "2", "3"] {
-            let packed = dir.path(campaign).join(recording).join("force.csv.gz");
-            let mut text = String::new();
-            io::Read::read_to_string(&mut GzDecoder::new(File::open(&packed).unwrap()), &mut text)
-                .unwrap();
-            let names: Vec<&str> = text.lines().next().unwrap().split(',').collect();
-            let is_kept = |(i, _): &(usize, &str)| !names[*i].ends_with("_z_n");
-            let row = |line: &str| {
-                let kept = line.split(',').enumerate().filter(is_kept).map(|(_, cell)| cell);
-                kept.collect::<Vec<_>>().join(",") + "\n"
-            };
-            fs::write(packed.with_extension(""), text.lines().map(row).collect::<String>())
-                .unwrap();
-            fs::remove_file(packed).unwrap();
-        }
+        change_tables(&dir.path(campaign), &[1, 2, 3], "force.csv", |force| {
+            (0..sensors).for_each(|sensor| force.remove(&format!("f{sensor}_z_n")));
+        });
         let fit = dir.run(&format!("fit {campaign} -o {campaign}.toml --json"));
         assert_eq!(fit.status.success(), is_fitted, "{}", String::from_utf8_lossy(&fit.stderr));
         let output = if is_fitted { fit.stdout } else { fit.stderr };

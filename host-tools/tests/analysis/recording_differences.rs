@@ -4,7 +4,7 @@ use serde_json::Value;
 use tests::campaign_copy::{CampaignCopy, CsvTable};
 use tests::{RECORDING_TOML, SyntheticCampaign, nominal, write_recording};
 
-use crate::workdir::WorkDir;
+use crate::workdir::{WorkDir, diagnosis};
 
 /// Gauss per count of the recordings.
 const GAUSS_PER_LSB: f64 = 0.125;
@@ -192,7 +192,6 @@ fn another_place_of_a_magnet_is_found_and_nothing_else() {
 #[test]
 fn effects_are_no_differences() {
     for campaign in ["clean", "demo", "friction", "ripple"] {
-        let diagnosis = diagnosed(&WorkDir::empty(), &tests::data(campaign).display().to_string());
-        assert_eq!(difference(&diagnosis), None, "{campaign}");
+        assert_eq!(difference(diagnosis(campaign)), None, "{campaign}");
     }
 }

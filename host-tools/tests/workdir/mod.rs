@@ -71,9 +71,7 @@ pub fn campaign(name: &str) -> String {
 /// Model without effects fitted to `clean`, `demo`, `friction` or `ripple`; fitted once in a test program. Do not
 /// write to it.
 pub fn fitted_model(name: &str) -> PathBuf {
-    const NAMES: [&str; 4] = ["clean", "demo", "friction", "ripple"];
     static FITTED: [OnceLock<PathBuf>; 4] = [const { OnceLock::new() }; 4];
-    let place = NAMES.iter().position(|known| *known == name).unwrap();
     let fit = || {
         let program = std::process::id();
         let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("models");
@@ -85,7 +83,18 @@ pub fn fitted_model(name: &str) -> PathBuf {
         std::fs::rename(draft, &model).unwrap();
         model
     };
-    FITTED[place].get_or_init(fit).clone()
+    FITTED[place(name)].get_or_init(fit).clone()
+}
+
+fn place(name: &str) -> usize {
+    ["clean", "demo", "friction", "ripple"].iter().position(|known| *known == name).unwrap()
+}
+
+/// What `magpie diagnose` states of one of these campaigns with [`fitted_model`]; diagnosed once in a test program.
+pub fn diagnosis(name: &str) -> &'static Value {
+    static DIAGNOSED: [OnceLock<Value>; 4] = [const { OnceLock::new() }; 4];
+    let arguments = ["diagnose", "model.toml", &campaign(name), "--json"];
+    DIAGNOSED[place(name)].get_or_init(|| WorkDir::with_model(name).json(&arguments))
 }
 
 /// Temporary folder in which commands run, deleted on drop.

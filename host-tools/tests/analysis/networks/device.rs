@@ -16,8 +16,14 @@ fn trained() -> WorkDir {
 }
 
 #[test]
-fn fixed_point_network_matches_floating_point() {
+fn trained_network_is_replayed_exported_and_bound_to_its_model() {
     let dir = trained();
+    fixed_point_matches_floating_point(&dir);
+    export_is_reproducible_and_typed_by_size(&dir);
+    another_model_is_refused(&dir);
+}
+
+fn fixed_point_matches_floating_point(dir: &WorkDir) {
     let message = dir.json("replay model.toml bench --network network --json");
     let rows = message["networks"]["sensors"].as_array().unwrap();
     assert_eq!(rows.len(), 4);
@@ -33,9 +39,7 @@ fn fixed_point_network_matches_floating_point() {
     }
 }
 
-#[test]
-fn network_export_is_reproducible_and_typed_by_size() {
-    let dir = trained();
+fn export_is_reproducible_and_typed_by_size(dir: &WorkDir) {
     for name in ["one.rs", "two.rs"] {
         dir.stdout(&format!("dev export model.toml --network network -o {name}"));
     }
@@ -55,9 +59,7 @@ fn the_committed_tables_are_those_of_the_committed_model_and_networks() {
     assert!(dir.read("tables.rs") == committed, "export the tables again");
 }
 
-#[test]
-fn network_of_another_model_is_refused() {
-    let dir = trained();
+fn another_model_is_refused(dir: &WorkDir) {
     dir.stdout("fit bench -o other.toml --seed 7");
     let message = dir.failure("replay other.toml bench --network network");
     assert!(message.contains("another model"), "{message}");

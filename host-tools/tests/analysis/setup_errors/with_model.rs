@@ -2,14 +2,12 @@
 //! campaign.
 
 use std::path::Path;
-use std::sync::OnceLock;
 
 use analysis::data_quality::model_checks::SensorPrediction;
 use analysis::data_quality::{Finding, check_against_model, corrected_copy, merge, scan_files};
 use model_export::effects::{ExcitationSeries, StateSeries};
 use model_export::fit::rows::SensorRows;
-use model_export::fit::{self, FitOptions};
-use model_export::model_file::{ModelFile, Provenance};
+use model_export::model_file::ModelFile;
 use model_export::physics::ForwardModel;
 use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
@@ -18,23 +16,14 @@ use tests::campaign_copy::{CampaignCopy, CsvTable};
 use tests::data;
 
 use super::{ALL, assert_equal_numbers, assert_message, clean, single};
+use crate::workdir::fitted_model;
 
 const NO_DELAY: Alignment = Alignment { delay_us: 0.0 };
 const SENSORS: [u32; 4] = [0, 1, 2, 3];
 
 /// Base model fitted to a campaign.
-fn fitted(folder: &Path) -> ModelFile {
-    let campaign = Campaign::read(folder, NO_DELAY, |_| ()).unwrap();
-    let options = FitOptions::default();
-    let (fits, _) = fit::campaign::cylinder(&campaign, options, |_| ()).unwrap();
-    let provenance = Provenance::of(&campaign, 0.0, options).unwrap();
-    ModelFile::of(&campaign, &fits, provenance)
-}
-
-/// Base model fitted to `clean`.
-fn model() -> &'static ModelFile {
-    static MODEL: OnceLock<ModelFile> = OnceLock::new();
-    MODEL.get_or_init(|| fitted(&data("clean")))
+fn fitted(name: &str) -> ModelFile {
+    ModelFile::read(&fitted_model(name)).unwrap()
 }
 
 fn field(model: &ForwardModel, track: &ExcitationSeries) -> Vec<Vector3<f64>> {
@@ -45,7 +34,7 @@ fn field(model: &ForwardModel, track: &ExcitationSeries) -> Vec<Vector3<f64>> {
 }
 
 fn findings_with_own_model(folder: &Path, alignment: Alignment) -> Vec<Finding> {
-    findings_with(model(), folder, alignment)
+    findings_with(&fitted("clean"), folder, alignment)
 }
 
 fn findings_with(model: &ModelFile, folder: &Path, alignment: Alignment) -> Vec<Finding> {
@@ -105,7 +94,7 @@ fn clean_campaign_has_no_finding() {
 #[test]
 fn missing_effect_is_not_a_setup_error() {
     for name in ["demo", "friction"] {
-        let findings = findings_with(&fitted(&data(name)), &data(name), NO_DELAY);
+        let findings = findings_with(&fitted(name), &data(name), NO_DELAY);
         assert!(findings.is_empty(), "{name}: {findings:#?}");
     }
 }
