@@ -65,14 +65,11 @@ fn demo_adds_an_effect_and_a_formula_and_the_force_error_falls_twice() {
             );
         }
     }
-    // The written models are those of the steps.
-    let models = ["model.toml", "better-1.toml", "better-2.toml"];
-    for (step, model) in diagnosis["staircase"].as_array().unwrap().iter().zip(models) {
-        let compared = dir.json(&format!("compare {model} campaign --json"));
-        let [of_step, of_model] =
-            [step, &compared].map(|of| of["force"]["excess_n"].as_f64().unwrap());
-        assert!((of_step - of_model).abs() < 1e-6, "{model}: {of_step} {of_model}");
-    }
+    // The last model is that of the last step.
+    let compared = dir.json("compare better-2.toml campaign --json");
+    let last = diagnosis["staircase"].as_array().unwrap().last().unwrap();
+    let [of_step, of_model] = [last, &compared].map(|of| of["force"]["excess_n"].as_f64().unwrap());
+    assert!((of_step - of_model).abs() < 1e-6, "{of_step} {of_model}");
     // The tables are those of the last model.
     let tables = std::fs::read_to_string(dir.path("tables.rs")).unwrap();
     assert!(tables.starts_with(MARK) && tables.contains("formula_1"));

@@ -36,17 +36,12 @@ fn equal_seeds_give_identical_models() {
     let models = ["a.toml", "b.toml"].map(|model| {
         let report = text(&dir.stdout(&["fit", &campaign("clean"), "-o", model]));
         assert!(report.contains("At the noise floor"), "{report}");
+        for line in report.lines() {
+            assert!(line.chars().count() <= 100, "{line}");
+        }
         dir.read(model)
     });
     assert_eq!(models[0], models[1]);
-}
-
-#[test]
-fn fit_report_fits_in_100_columns() {
-    let report = WorkDir::empty().stdout(&["fit", &campaign("clean")]);
-    for line in text(&report).lines() {
-        assert!(line.chars().count() <= 100, "{line}");
-    }
 }
 
 #[test]
@@ -173,9 +168,28 @@ fn force(json: &Value, key: &str) -> f64 {
     json["force"][key].as_f64().unwrap_or_else(|| panic!("{json}"))
 }
 
+/// The first sensor of `clean`: a fit of four proves nothing more, and takes four times as long.
+fn one_sensor() -> CampaignCopy {
+    CampaignCopy::new()
+        .change(&[1, 2, 3], "hall.csv", |table| {
+            for sensor in 1..4 {
+                for column in ["x_lsb", "y_lsb", "z_lsb", "temp_c"] {
+                    table.remove(&format!("s{sensor}_{column}"));
+                }
+            }
+        })
+        .change(&[1, 2, 3], "force.csv", |table| {
+            for sensor in 1..4 {
+                table.remove(&format!("f{sensor}_x_n"));
+                table.remove(&format!("f{sensor}_z_n"));
+            }
+        })
+}
+
 #[test]
 fn polynomial_of_two_forces_gives_newtons_and_tables() {
-    let (dir, clean) = (WorkDir::empty(), campaign("clean"));
+    let (dir, copy) = (WorkDir::empty(), one_sensor());
+    let clean = copy.path().display().to_string();
     let polynomial = ["--base", "polynomial", "--degree", "3", "-o", "model.toml", "--json"];
     let fit = dir.json(&[&["fit", &clean], &polynomial[..]].concat());
     // The bench has no effect but noise.
@@ -190,7 +204,7 @@ fn polynomial_of_two_forces_gives_newtons_and_tables() {
     assert!(force(&replay, "rms_n") < 1.1 * force(&replay, "noise_n"), "{replay}");
     assert_eq!(
         (replay["sensors"].as_array().unwrap().len(), &replay["nominal"]),
-        (8, &Value::Null)
+        (2, &Value::Null)
     );
     dir.stdout("dev export better.toml -o tables.rs");
     assert!(dir.read("tables.rs").contains("SensorTemperature"));
@@ -200,9 +214,7 @@ fn polynomial_of_two_forces_gives_newtons_and_tables() {
 
 #[test]
 fn force_that_was_not_recorded_is_assumed_to_be_zero() {
-    let lateral = CampaignCopy::new().change(&[1, 2, 3], "force.csv", |table| {
-        (0..4).for_each(|sensor| table.remove(&format!("f{sensor}_z_n")));
-    });
+    let lateral = one_sensor().change(&[1, 2, 3], "force.csv", |table| table.remove("f0_z_n"));
     let (dir, lateral) = (WorkDir::empty(), lateral.path().display().to_string());
     for base in ["cylinder", "polynomial"] {
         let fit = ["fit", &lateral, "--base", base, "-o", "model.toml"];
@@ -212,10 +224,9 @@ fn force_that_was_not_recorded_is_assumed_to_be_zero() {
         assert!(text(&output.stdout).contains("Force error (held out"), "{notes}");
         let replay = dir.json(&["replay", "model.toml", &lateral, "--json"]);
         let sensors = replay["sensors"].as_array().unwrap();
-        assert_eq!(sensors.len(), 4);
-        assert!(sensors.iter().all(|sensor| sensor["axis"] == "x"), "{replay}");
+        assert_eq!((sensors.len(), &sensors[0]["axis"]), (1, &"x".into()), "{replay}");
         let comparison = dir.json(&["compare", "model.toml", &lateral, "--json"]);
-        assert_eq!(comparison["forces"].as_array().unwrap().len(), 4);
+        assert_eq!(comparison["forces"].as_array().unwrap().len(), 1);
         dir.stdout(&["dev", "export", "model.toml", "-o", &format!("{base}.rs")]);
         let model = dir.read("model.toml");
         match base {

@@ -28,6 +28,12 @@ pub fn trials(effort: Effort) -> Vec<Trial> {
     let mut trials = Vec::new();
     for variant in Variant::ALL {
         for ((name, conditions), limits) in CONDITIONS.into_iter().zip(TIME_LIMITS) {
+            // Usually each image at the slow end, and those with the most to compute at the others, too.
+            let is_long =
+                matches!(variant, Variant::Default | Variant::Effects | Variant::Networks);
+            if effort == Effort::Usual && !is_long && name != "slow" {
+                continue;
+            }
             trials.push(Trial::test(format!("boot_{}_{name}", variant.name()), move || {
                 boots(variant, conditions, limits, effort)
             }));

@@ -88,10 +88,10 @@ fn calibrates(effect: &str) -> Result<(), Failed> {
         mountings: Mountings::default(),
         effects: vec![effect.parse().map_err(|error| format!("{error:#}"))?],
         recordings: 3,
-        seconds: 6.0,
+        seconds: 4.0,
     };
     let evaluation =
-        BenchSetup { excitation_seed: 2, recordings: 1, seconds: 5.0, ..setup.clone() };
+        BenchSetup { excitation_seed: 2, recordings: 1, seconds: 3.0, ..setup.clone() };
     let run = || -> Result<()> {
         let dir = WorkDir::empty();
         let folder = dir.0.path();
