@@ -332,29 +332,6 @@ fn grown(recording: &Path, count: usize, running: &mut Running) -> Vec<Vec<i64>>
     }
 }
 
-#[test]
-fn recording_is_valid_when_the_recorder_is_killed() {
-    let dir = workdir();
-    for (number, wanted) in [1, 300, 850, 1333, 2100].into_iter().enumerate() {
-        let line = format!(
-            "record --virtual --model model.toml --press 10,5 -o killed/{number} --start-s 0"
-        );
-        let mut record = Running::start(&dir, &line);
-        let folder = dir.path(&format!("killed/{number}"));
-        let before = grown(&folder, wanted, &mut record);
-        // Not always right after a flush.
-        std::thread::sleep(Duration::from_millis(71 * number as u64));
-        record.signal(Signal::KILL);
-        record.0.wait().unwrap();
-        let after = rows(&folder);
-        assert_eq!(after[..before.len()], before);
-        assert!(after.windows(2).all(|pair| pair[1][0] - pair[0][0] == 1_000_000));
-        let recording = Recording::read(&folder, Alignment { delay_us: 0.0 }).unwrap();
-        assert_eq!(recording.rows_read.0 as usize, after.len());
-        assert!(recording.notices.is_empty(), "{:?}", recording.notices);
-    }
-}
-
 /// Time in seconds of the last row of a table of a recording.
 fn last_s(table: &Path) -> f64 {
     let mut text = String::new();
@@ -368,13 +345,13 @@ fn last_s(table: &Path) -> f64 {
 }
 
 #[test]
-fn killed_recordings_are_imported_up_to_the_last_second() {
+fn killed_recordings_are_valid_up_to_the_last_second() {
     let dir = workdir();
     let reference = "columns = [{ column = 1, unit = \"N\", to = \"f0_x_n\" }]\n";
     std::fs::write(dir.path("map.toml"), reference).unwrap();
-    for (number, wanted) in [1, 250, 777, 1999, 2001, 2400, 2999, 3333].into_iter().enumerate() {
+    for (number, wanted) in [1, 250, 777, 1333, 1999, 2001, 2400, 3333].into_iter().enumerate() {
         let has_reference = number % 2 == 1;
-        let server = has_reference.then(|| line_server(|row| format!("{row}\n")));
+        let server = has_reference.then(|| line_server(u32::MAX, |row| format!("{row}\n")));
         let mut line = format!(
             "record --virtual --model model.toml --press 10,5 -o k/{number} --mcap k{number}.mcap --start-s 0"
         );
@@ -383,7 +360,7 @@ fn killed_recordings_are_imported_up_to_the_last_second() {
         }
         let mut record = Running::start(&dir, &line);
         let folder = dir.path(&format!("k/{number}"));
-        let written = grown(&folder, wanted, &mut record).len();
+        let before = grown(&folder, wanted, &mut record);
         // With the first row of the reference; then not always right after a flush.
         while std::fs::read_to_string(folder.join("force.csv")).unwrap().lines().count() < 2 {
             std::thread::sleep(Duration::from_millis(3));
@@ -396,10 +373,16 @@ fn killed_recordings_are_imported_up_to_the_last_second() {
         }
         let force = std::fs::read_to_string(folder.join("force.csv")).unwrap();
         assert!(force.starts_with("t_us,f0_x_n"), "{number}: {force}");
+        let after = rows(&folder);
+        assert_eq!(after[..before.len()], before, "{number}");
+        assert!(after.windows(2).all(|pair| pair[1][0] - pair[0][0] == 1_000_000), "{number}");
         let csv_s = last_s(&folder.join("hall.csv"));
-        assert!(csv_s > 1e-3 * written as f64 - 1.5e-3, "{number}: {csv_s} s, {written} rows");
         let recording = Recording::read(&folder, Alignment { delay_us: 0.0 }).unwrap();
         assert!(recording.notices.iter().all(|notice| !notice.message.contains("cut off")));
+        if !has_reference {
+            assert_eq!(recording.rows_read.0 as usize, after.len(), "{number}");
+            assert!(recording.notices.is_empty(), "{number}: {:?}", recording.notices);
+        }
         dir.stdout(&format!("import --guess k{number}.mcap -o k{number}.toml"));
         let imported =
             dir.run(&format!("import k{number}.toml k{number}.mcap -o imported{number}"));
@@ -420,15 +403,7 @@ fn reference_that_ends_first_is_reported_and_keeps_its_rows() {
     let mapping = "columns = [{ column = 1, unit = \"N\", to = \"f0_x_n\" }]\n";
     std::fs::write(dir.path("map.toml"), mapping).unwrap();
     let record = |rows: u32, options: &str| {
-        let server = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
-        let port = server.local_addr().unwrap().port();
-        let sender = std::thread::spawn(move || {
-            let (mut stream, _) = server.accept().unwrap();
-            for row in 0..rows {
-                stream.write_all(format!("{row}\n").as_bytes()).unwrap();
-                std::thread::sleep(Duration::from_millis(10));
-            }
-        });
+        let (port, sender) = line_server(rows, |row| format!("{row}\n"));
         let output = dir.run(&format!(
             "record --virtual --model model.toml --seconds 4 --reference tcp:127.0.0.1:{port} --reference-map map.toml {options}"
         ));
@@ -606,22 +581,13 @@ fn unusable_ports_and_buses_are_errors_with_a_remedy() {
     assert!(!dir.path("never").exists());
 }
 
-#[test]
-fn both_commands_help_has_examples() {
-    let dir = WorkDir::empty();
-    for command in ["monitor", "record"] {
-        let help = String::from_utf8(dir.stdout(&format!("{command} --help"))).unwrap();
-        assert!(help.contains(&format!("  cargo magpie {command} --port /dev/ttyACM0")), "{help}");
-    }
-}
-
-/// Port of a socket that sends a line of text each 10 ms, by its number, until it is closed.
-fn line_server(line: fn(u32) -> String) -> (u16, std::thread::JoinHandle<()>) {
+/// Port of a socket that sends so many lines of text, each 10 ms one by its number, or until it is closed.
+fn line_server(rows: u32, line: fn(u32) -> String) -> (u16, std::thread::JoinHandle<()>) {
     let server = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let port = server.local_addr().unwrap().port();
     let sender = std::thread::spawn(move || {
         let (mut stream, _) = server.accept().unwrap();
-        for row in 0.. {
+        for row in 0..rows {
             if stream.write_all(line(row).as_bytes()).is_err() {
                 return;
             }
@@ -635,7 +601,7 @@ fn line_server(line: fn(u32) -> String) -> (u16, std::thread::JoinHandle<()>) {
 fn reference_on_a_socket_is_recorded_alongside() {
     let dir = workdir();
     // Begins within a line. Constant forces: a delay cannot be determined.
-    let (port, sender) = line_server(|row| {
+    let (port, sender) = line_server(u32::MAX, |row| {
         let cut = if row == 0 { "3;" } else { "" };
         format!("{cut}{}; 2.5; {}\n", 10 * row, 100 + row % 2)
     });
@@ -665,7 +631,7 @@ fn reference_on_a_socket_is_recorded_alongside() {
 fn delay_of_an_unrelated_reference_is_not_applied() {
     let dir = workdir();
     // Loads of something else, while the virtual board grasps.
-    let (port, sender) = line_server(|row| {
+    let (port, sender) = line_server(u32::MAX, |row| {
         let time_s = 0.01 * f64::from(row);
         let load = |rad_s: f64| 10.0 * (rad_s * time_s).sin();
         format!("{}; {}\n", 10 * row, load(3.1) + load(7.7) + load(17.3))
@@ -689,7 +655,8 @@ fn delay_of_an_unrelated_reference_is_not_applied() {
 fn pose_of_the_host_is_recorded_as_covariates_of_the_board() {
     let dir = workdir();
     // Roll 30 degrees; a yaw of 0.5 rad/s; 2 m/s^2 along x.
-    let (port, sender) = line_server(|row| format!("30 0 {} 2 0 0\n", 0.005 * f64::from(row)));
+    let (port, sender) =
+        line_server(u32::MAX, |row| format!("30 0 {} 2 0 0\n", 0.005 * f64::from(row)));
     let columns = [
         ("deg", "roll_rad"),
         ("deg", "pitch_rad"),

@@ -139,17 +139,19 @@ fn force_sample_reaches_the_motor_within_1_ms() {
 
 #[test]
 fn homing_over_can_finds_the_opening() {
-    let setup = ClosedLoopSetup { is_homed: false, ..ClosedLoopSetup::nominal(Lead::A, 6.0, 1) };
-    let mut cell = ClosedLoop::new(&setup, nominal_tables());
-    assert!(cell.enable() && cell.is_in(TaskState::Unhomed));
-    cell.host.order(Command { mode: mode::HOME, ..Command::default() });
-    let took_s = cell.until(20.0, |cell| cell.is_in(TaskState::Idle));
-    println!("homed in {:.2} s", took_s.unwrap());
-    cell.run(0.2);
-    let gripper = cell.gripper.borrow();
-    let estimated_mm = f64::from(gripper.rig.motor.status().opening_mm.unwrap());
-    let true_mm = 1e3 * gripper.rig.plant.opening_m();
-    assert!((estimated_mm - true_mm).abs() < 0.1, "{estimated_mm} {true_mm}");
+    for lead in Lead::BOTH {
+        let setup = ClosedLoopSetup { is_homed: false, ..ClosedLoopSetup::nominal(lead, 6.0, 1) };
+        let mut cell = ClosedLoop::new(&setup, nominal_tables());
+        assert!(cell.enable() && cell.is_in(TaskState::Unhomed));
+        cell.host.order(Command { mode: mode::HOME, ..Command::default() });
+        let took_s = cell.until(20.0, |cell| cell.is_in(TaskState::Idle));
+        println!("{lead:?}: homed in {:.2} s", took_s.unwrap());
+        cell.run(0.2);
+        let gripper = cell.gripper.borrow();
+        let estimated_mm = f64::from(gripper.rig.motor.status().opening_mm.unwrap());
+        let true_mm = 1e3 * gripper.rig.plant.opening_m();
+        assert!((estimated_mm - true_mm).abs() < 0.1, "{lead:?}: {estimated_mm} {true_mm}");
+    }
 }
 
 #[test]

@@ -1,9 +1,9 @@
-//! Faults that concern the chip, while the gripper holds an object with 100 N; and every kind of crash, with its record
-//! after the reset.
+//! Faults that concern the chip, while the gripper holds an object with 100 N; and crashes of the program, with their record after
+//! the reset. `supervision` has those whose cause is a part of the board.
 
 use emulator::Time;
 use emulator::peripherals::clocks::ResetCause;
-use firmware::grip::states::{PowerState, TASK_CODE, TaskState};
+use firmware::grip::states::{TASK_CODE, TaskState};
 use firmware::protocol::messages::FaultEvent;
 use firmware::system::crash::CrashKind;
 use firmware::system::faults::{Event, Fault};
@@ -28,30 +28,18 @@ const AFTER_MS: u32 = 500;
 type Crash = (&'static str, fn() -> Result<(), Failed>);
 
 pub fn trials() -> Vec<Trial> {
-    let rows = [
-        InjectedFault::BusHigh,
-        InjectedFault::EncoderChecksum,
-        InjectedFault::EncoderStuck,
-        InjectedFault::LineLow,
-        InjectedFault::MemoryCorruption,
-    ];
+    let rows = [InjectedFault::BusHigh, InjectedFault::LineLow, InjectedFault::MemoryCorruption];
     let of_rows =
         rows.into_iter().map(|row| Trial::test(format!("fault_{row:?}"), move || during_hold(row)));
-    let crashes: [Crash; 6] = [
+    let crashes: [Crash; 4] = [
         ("panic", || crashes(CrashKind::Panic, ResetCause::Software, panic)),
         ("hard_fault", || crashes(CrashKind::HardFault, ResetCause::Software, hard_fault)),
         ("stack_overflow", || crashes(CrashKind::StackOverflow, ResetCause::Software, recurse)),
-        ("unreadable_flash", || {
-            crashes(CrashKind::NonMaskable, ResetCause::Software, unreadable_flash)
-        }),
-        ("crystal", || crashes(CrashKind::NonMaskable, ResetCause::Software, crystal)),
         ("hang", || crashes(CrashKind::Watchdog, ResetCause::Watchdog, hang)),
     ];
     let of_crashes =
         crashes.into_iter().map(|(name, test)| Trial::test(format!("crash_{name}"), test));
-    let gate = Trial::test("fault_gate_driver", gate_driver);
-    let silent = Trial::test("fault_encoder_silent", encoder_silent);
-    of_rows.chain(of_crashes).chain([gate, silent]).collect()
+    of_rows.chain(of_crashes).collect()
 }
 
 /// A gripper that holds an object of 40 mm.
@@ -114,34 +102,6 @@ fn during_hold(row: InjectedFault) -> Result<(), Failed> {
     Ok(())
 }
 
-/// The gate drivers' output breaks the pulses in hardware.
-fn gate_driver() -> Result<(), Failed> {
-    let mut cell = holding()?;
-    cell.board.chip.soc.set_gate_fault(true);
-    cell.run(0.3);
-    assert_eq!(cell.state(), PowerState::Fault as u8);
-    assert!(came(&mut cell, Fault::PowerStage).is_some(), "{:?}", cell.host.received.faults);
-    assert!(cell.force_n() > 0.85 * SET_N);
-    assert_eq!(cell.board.chip.resets, []);
-    Ok(())
-}
-
-/// Its line stays high.
-fn encoder_silent() -> Result<(), Failed> {
-    let mut cell = holding()?;
-    let at_us = cell.time_us();
-    cell.gripper.borrow_mut().errors.frame = Some(Box::new(|_| u16::MAX));
-    cell.run(0.3);
-    assert_eq!(cell.state(), PowerState::Fault as u8);
-    let (time_ms, _) = came(&mut cell, Fault::RotorSensor).ok_or("not reported")?;
-    let found_ms = time_ms - 1e-3 * at_us as f64;
-    assert!(
-        found_ms <= InjectedFault::EncoderStuck.specification().within_ms + REPORT_MS,
-        "{found_ms:.2} ms"
-    );
-    Ok(())
-}
-
 /// The board crashes while it is armed; after the reset the record is reported, and the gripper is not enabled before a host
 /// arms again.
 fn crashes(kind: CrashKind, cause: ResetCause, crash: fn(&mut Cell)) -> Result<(), Failed> {
@@ -201,13 +161,6 @@ fn hard_fault(cell: &mut Cell) {
     go_to(cell, 0x6000_0000);
 }
 
-/// It stops, and oscillates again by the reset: without it the board does not start.
-fn crystal(cell: &mut Cell) {
-    cell.board.chip.soc.fail_crystal();
-    cell.until(1.0, |cell| !cell.board.chip.resets.is_empty());
-    cell.board.chip.soc.restore_crystal();
-}
-
 /// PUSH {R4-R7, LR}; BL to itself.
 fn recurse(cell: &mut Cell) {
     run_code(cell, &[0xB5F0, 0xF7FF, 0xFFFD]);
@@ -216,17 +169,4 @@ fn recurse(cell: &mut Cell) {
 /// B to itself.
 fn hang(cell: &mut Cell) {
     run_code(cell, &[0xE7FE]);
-}
-
-/// Two bits of the table of the serial line's checksum, which every packet reads; after the first reset they are right again,
-/// else it would be reset for ever.
-fn unreadable_flash(cell: &mut Cell) {
-    let tables = cell.board.chip.image().symbols_named("checksum::CRC16").next();
-    let address = (tables.expect("the image has tables").address + 64) & !7;
-    let soc = &mut cell.board.chip.soc;
-    let before = soc.memory(address, 8).expect("flash").to_vec();
-    let offset = (address - 0x0800_0000) as usize;
-    soc.corrupt_flash(offset);
-    cell.until(1.0, |cell| !cell.board.chip.resets.is_empty());
-    cell.board.chip.soc.load_flash(offset, &before);
 }

@@ -20,7 +20,7 @@ use sim::drivetrain::sensors::ROOM_C;
 use crate::boards::{at_rest, board, image, pressed, violations};
 use crate::faults::holding;
 use crate::images::Variant;
-use crate::motion::{Cell, cell, homed, move_to};
+use crate::motion::{Cell, SET_N, cell, homed, move_to};
 use crate::storage;
 
 type Test = fn() -> Result<(), Failed>;
@@ -49,6 +49,8 @@ fn log_reader_stops() -> Result<(), Failed> {
     cell.board.chip.soc.set_gate_fault(true);
     cell.run(0.2);
     assert_eq!(cell.board.chip.resets, []);
+    // The screw locks itself.
+    assert!(cell.force_n() > 0.85 * SET_N, "{} N", cell.force_n());
     let codes: Vec<_> = cell.host.received.faults.iter().map(|(_, event)| event.code).collect();
     assert!(codes.contains(&(Fault::PowerStage as u16)), "{codes:?}");
     assert!(!codes.contains(&(Fault::TicksMissed as u16)), "{codes:?}");

@@ -21,7 +21,7 @@ fn main() {}
 
 #[cfg(unix)]
 mod unix {
-    use std::io::{BufRead, BufReader, Read, Write};
+    use std::io::{BufRead, BufReader, Write};
     use std::net::TcpStream;
     use std::num::NonZeroUsize;
     use std::process::{ExitCode, Stdio};
@@ -46,6 +46,8 @@ mod unix {
     use crate::workdir::tutorial::{Step, folder, link_data, steps};
     use crate::workdir::{WorkDir, campaign, text};
 
+    type Test = fn() -> Result<(), Failed>;
+
     pub fn main() -> ExitCode {
         let mut arguments = Arguments::from_args();
         // Most of them wait for the clock half of the time.
@@ -59,39 +61,31 @@ mod unix {
             }
         }
         // The longest first: they wait for the clock while others compute.
-        let trials = [
-            Trial::test(
-                "no_exit_releases_a_foreign_grip",
-                control::no_exit_releases_a_foreign_grip,
-            ),
-            Trial::test(
+        let trials: [(&str, Test); 15] = [
+            ("no_exit_releases_a_foreign_grip", control::no_exit_releases_a_foreign_grip),
+            (
                 "no_exit_moves_fingers_of_an_earlier_host",
                 control::no_exit_moves_fingers_of_an_earlier_host,
             ),
-            Trial::test("results_have_codes", control::results_have_codes),
-            Trial::test(
+            ("results_have_codes", control::results_have_codes),
+            (
                 "first_home_on_the_default_image_names_the_cure",
                 control::first_home_on_the_default_image_names_the_cure,
             ),
-            Trial::test(
-                "a_grip_that_fails_has_its_reason",
-                control::a_grip_that_fails_has_its_reason,
-            ),
-            Trial::test("motor_and_screw_are_identified", identification),
-            Trial::test("the_tutorial_flashes_and_drives", tutorial),
-            Trial::test("grip_homes_and_holds_a_force_over_the_can_bus", grip),
-            Trial::test("the_workbench_uploads_a_calibration", workbench),
-            Trial::test("only_hosts_with_the_key_change_a_protected_gripper", keys),
-            Trial::test("record_receives_every_tick_on_the_serial_line", record),
-            Trial::test("a_socketcand_client_receives_heartbeats_until_ctrl_c", socketcand),
-            Trial::test("clients_together_send_what_the_bus_carries", flood),
-            Trial::test("a_stranger_ends_no_grasp", stranger),
-            Trial::test("a_profile_has_load_deadlines_and_stack", profile),
-            Trial::test("settings_survive_in_a_flash_file", flash_file),
-            Trial::test("an_image_that_is_none_is_refused", refused),
+            ("a_grip_that_fails_has_its_reason", control::a_grip_that_fails_has_its_reason),
+            ("motor_and_screw_are_identified", identification),
+            ("the_tutorial_flashes_and_drives", tutorial),
+            ("grip_homes_and_holds_a_force_over_the_can_bus", grip),
+            ("the_workbench_uploads_a_calibration", workbench),
+            ("only_hosts_with_the_key_change_a_protected_gripper", keys),
+            ("clients_together_send_what_the_bus_carries", flood),
+            ("a_stranger_ends_no_grasp", stranger),
+            ("a_profile_has_load_deadlines_and_stack", profile),
+            ("settings_survive_in_a_flash_file", flash_file),
+            ("an_image_that_is_none_is_refused", refused),
         ];
-        let trials =
-            trials.into_iter().map(|trial| trial.with_ignored_flag(absent.is_some())).collect();
+        let trial = |(name, test)| Trial::test(name, test).with_ignored_flag(absent.is_some());
+        let trials = trials.map(trial).into();
         libtest_mimic::run(&arguments, trials).exit_code()
     }
 
@@ -138,6 +132,7 @@ mod unix {
             self.running.signal(Signal::INT);
             let measured = self.running.objects().next().unwrap();
             assert!(self.running.0.wait().unwrap().success());
+            assert_eq!(measured["ended_by"], "interrupt");
             measured
         }
     }
@@ -187,45 +182,6 @@ mod unix {
         let binned: u64 = bins.iter().map(|bin| bin["ticks"].as_u64().unwrap()).sum();
         assert_eq!(binned, ticks);
         is_clean(&measured);
-        Ok(())
-    }
-
-    fn record() -> Result<(), Failed> {
-        let dir = WorkDir::empty();
-        let emulation = Emulation::start(&dir, &path(Variant::Default)?, "--json");
-        let line = format!("record --port {} -o campaign/1 --seconds 3 --json", emulation.serial);
-        let recorded = dir.json(&line);
-        // Less than three seconds where this machine is slower than the chip.
-        assert!(recorded["rows"].as_u64() > Some(200), "{recorded}");
-        assert_eq!(recorded["lost_rows"], 0, "{recorded}");
-        assert_eq!(recorded["sensors"], serde_json::json!([0, 1, 2, 3]));
-        let measured = emulation.end();
-        assert_eq!(measured["ended_by"], "interrupt");
-        is_clean(&measured);
-        Ok(())
-    }
-
-    fn socketcand() -> Result<(), Failed> {
-        let dir = WorkDir::empty();
-        let emulation = Emulation::start(&dir, &path(Variant::Default)?, "--json --log");
-        let mut stream = TcpStream::connect(&emulation.can)?;
-        stream.write_all(b"< nonsense >< open can0 >< rawmode >< send 999 1 0 >")?;
-        let mut text = String::new();
-        let mut bytes = [0; 4096];
-        while text.matches("< frame 201 ").count() < 5 {
-            let count = stream.read(&mut bytes)?;
-            assert!(count > 0, "the connection was closed: {text}");
-            text += &String::from_utf8_lossy(&bytes[..count]);
-        }
-        assert!(text.starts_with("< hi >< error unknown command"), "{text}");
-        assert!(text.contains("< ok >< ok >") && text.contains("< error identifier 999"), "{text}");
-        drop(stream);
-        let line = format!("monitor --can {} --seconds 1.5 --json", emulation.can);
-        let output = String::from_utf8(dir.stdout(&line))?;
-        let last: Value = serde_json::from_str(output.lines().last().unwrap())?;
-        assert_eq!(last["version"]["protocol"][0], 2, "{last}");
-        assert_eq!(last["heartbeat"]["sensors_ok"], 0b1111);
-        is_clean(&emulation.end());
         Ok(())
     }
 
