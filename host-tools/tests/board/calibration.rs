@@ -67,15 +67,8 @@ fn an_uploaded_calibration_runs_and_is_described() {
     dir.stdout(&format!("upload effect.toml --port {line}"));
 
     // With networks, into the other slot.
-    dir.stdout(&[
-        "train",
-        "model.toml",
-        &campaign("clean"),
-        "--epochs",
-        "1",
-        "-o",
-        "network.safetensors",
-    ]);
+    let clean = campaign("clean");
+    dir.stdout(&format!("train model.toml {clean} --epochs 1 -o network.safetensors"));
     dir.stdout(&format!("upload model.toml --network network.safetensors --port {line}"));
     let third = shown(&dir, &line);
     let calibration = &third["calibration"];
@@ -94,17 +87,8 @@ fn an_uploaded_calibration_runs_and_is_described() {
 fn what_a_board_cannot_load_is_refused_with_a_remedy() {
     let dir = WorkDir::with_model("clean");
     let (_board, line) = board(&dir);
-    dir.stdout(&[
-        "train",
-        "model.toml",
-        &campaign("clean"),
-        "--hidden",
-        "24",
-        "--epochs",
-        "1",
-        "-o",
-        "large.safetensors",
-    ]);
+    let clean = campaign("clean");
+    dir.stdout(&format!("train model.toml {clean} --hidden 24 --epochs 1 -o large.safetensors"));
     let refused =
         dir.failure(&format!("upload model.toml --network large.safetensors --port {line}"));
     assert!(refused.contains("`cargo magpie dev export` and `cargo flash-image`"), "{refused}");

@@ -25,7 +25,7 @@ use sim::board::{Program, VirtualTimeBoard};
 use tests::campaign_copy::CsvTable;
 use tests::{data, full_campaign};
 
-use crate::workdir::WorkDir;
+use crate::workdir::{WorkDir, fitted_model};
 
 const RECORDING_S: f64 = 12.0;
 
@@ -35,11 +35,9 @@ struct Made {
     networks: Option<NetworkSet>,
 }
 
-/// A fit without effects.
-fn fitted(dir: &WorkDir, campaign: &Path) -> Made {
-    dir.stdout(&format!("fit {} -o model.toml", campaign.display()));
-    let built = build(&dir.path("model.toml"), ModelVariant::Fitted).unwrap();
-    Made { built, networks: None }
+/// A model without networks.
+fn plain(model: &Path) -> Made {
+    Made { built: build(model, ModelVariant::Fitted).unwrap(), networks: None }
 }
 
 /// A model with compensated effects, and networks on top.
@@ -182,10 +180,9 @@ const NAMES: [&str; 3] = ["1", "2", "3"];
 
 #[test]
 fn board_and_replay_forces_are_bit_equal() {
-    let dir = WorkDir::empty();
     for (campaign, sensors) in [("clean", 4), ("friction", 2)] {
         for recording in NAMES {
-            let made = fitted(&dir, &data(campaign));
+            let made = plain(&fitted_model(campaign));
             let folder = data(campaign).join(recording);
             assert_bit_equal(made, &folder, RECORDING_S, sensors);
         }
@@ -206,8 +203,9 @@ fn long_recordings_are_bit_equal() {
         let Some(folder) = full_campaign(campaign) else {
             return;
         };
+        dir.stdout(&format!("fit {} -o model.toml", folder.display()));
         for recording in NAMES {
-            let made = fitted(&dir, &folder);
+            let made = plain(&dir.path("model.toml"));
             assert_bit_equal(made, &folder.join(recording), 29.9, 4);
         }
     }
@@ -215,8 +213,7 @@ fn long_recordings_are_bit_equal() {
 
 #[test]
 fn force_frames_are_sent_within_1_ms_of_the_sample() {
-    let dir = WorkDir::empty();
-    let reports = run(fitted(&dir, &data("clean")), &data("clean/1"), 1.0);
+    let reports = run(plain(&fitted_model("clean")), &data("clean/1"), 1.0);
     let mut worst_us = 0;
     for (time_us, _, _) in &reports.forces {
         worst_us = worst_us.max((time_us - FIRST_TICK_US) % (10 * TICK_US));

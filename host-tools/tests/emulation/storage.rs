@@ -41,15 +41,14 @@ pub fn read(cell: &mut Cell, id: u16) -> Result<u32, Failed> {
     Ok(reply.value)
 }
 
+fn write_rate(cell: &mut Cell, value: u32) {
+    let (op, id) = (parameter_op::WRITE, id::FORCE_RATE);
+    cell.host.request_parameter(ParamRequest { op, id, value, ..ParamRequest::default() });
+}
+
 /// Sets the rate and takes the present forces as zero, without saving.
 fn change(cell: &mut Cell, rate: u32) -> Result<(), Failed> {
-    let request = ParamRequest {
-        op: parameter_op::WRITE,
-        id: id::FORCE_RATE,
-        value: rate,
-        ..ParamRequest::default()
-    };
-    cell.host.request_parameter(request);
+    write_rate(cell, rate);
     serve(cell, op::TARE)?;
     assert_eq!(read(cell, id::FORCE_RATE)?, rate);
     Ok(())
@@ -108,13 +107,7 @@ fn power_cuts(leaves: Remains) -> Result<(), Failed> {
         assert!(!unsound, "cut after {after} operations: {:?}", cell.host.received.faults);
         // From the same beginning again.
         if place == 1 {
-            let request = ParamRequest {
-                op: parameter_op::WRITE,
-                id: id::FORCE_RATE,
-                value: RATES[0],
-                ..ParamRequest::default()
-            };
-            cell.host.request_parameter(request);
+            write_rate(&mut cell, RATES[0]);
             serve(&mut cell, op::SAVE)?;
         }
     }
