@@ -1,47 +1,41 @@
 """Control flow of an image of Thumb-2 code: what each function calls, where it traps, and the stack it uses.
 
-Registers are followed as constants or as offsets from the stack pointer at the function's entry, over all paths of the
-function until nothing changes, so that the target of a call through a register is known where it is a constant on all
-paths. A jump into the middle of a function belongs to the flow of the function that jumps.
+Registers are followed as constants or as addresses on the stack, over all paths of the function until nothing changes, so
+that the target of a call through a register is known where it is a constant on all paths. A jump into the middle of a
+function belongs to the flow of the function that jumps.
 """
 
-import re
 from dataclasses import dataclass, field
+from heapq import heappop, heappush
 
-TRAPS = {"udf", "bkpt", "svc", "hlt"}
-# Their first operand is no destination.
-READS = {
-    "cmp", "cmn", "tst", "teq", "cbz", "cbnz", "vcmp.f32", "vcmpe.f32", "vcmp.f64", "vcmpe.f64", "msr", "vmsr", "dmb",
-    "dsb", "isb", "nop", "wfe", "wfi", "sev", "clrex", "cpsid", "cpsie", "pld", "yield",
-}
+from capstone.arm_const import ARM_OP_IMM as IMMEDIATE, ARM_OP_MEM as MEMORY, ARM_OP_REG as REGISTER
+from capstone.arm_const import ARM_REG_D0, ARM_REG_D31, ARM_REG_LR as LR, ARM_REG_PC as PC, ARM_REG_SP as SP
+from capstone.arm_const import ARM_REG_R0, ARM_REG_R4, ARM_REG_R12
+
+TRAPS = {"udf", "trap", "bkpt", "svc", "hlt"}
+# Directions in which a list of registers moves the stack pointer.
+LISTS = {"push": -1, "vpush": -1, "pop": 1, "vpop": 1}
+COMPUTED = {*LISTS, "mov", "movt", "add", "sub", "adr", "ldr"}
+CLOBBERED = {*range(ARM_REG_R0, ARM_REG_R4), ARM_REG_R12, LR}
 WORD = 0xFFFF_FFFF
-# Depths of the stack at one instruction on different paths, at the most: more are a loop.
-MOST_DEPTHS = 8
-CLOBBERED = ("r0", "r1", "r2", "r3", "ip", "lr")
-
-
-@dataclass(frozen=True)
-class Offset:
-    """An address on the stack, in bytes from the stack pointer at the function's entry."""
-
-    bytes: int
+# The stack pointer at a function's entry, apart from all words, and the most bytes below it: more are a loop.
+STACK, MOST = 1 << 40, 1 << 16
 
 
 @dataclass
 class Call:
-    site: int
     target: int | None  # None: unknown.
     depth: int
-    is_tail: bool = False
+    is_tail: bool
 
 
 @dataclass
 class Function:
     start: int
     depth: int = 0  # Bytes of its own stack, at the most.
-    calls: list = field(default_factory=list)
-    traps: list = field(default_factory=list)
-    problems: list = field(default_factory=list)
+    calls: dict = field(default_factory=dict)  # By the address of the instruction.
+    traps: set = field(default_factory=set)
+    problems: set = field(default_factory=set)
     successors: dict = field(default_factory=dict)
     returns: bool = False
 
@@ -51,7 +45,7 @@ class CallGraph:
         self.elf = elf
         self.never_return = set()
         self.functions = {}
-        self.constants = set()  # That the code builds in registers.
+        self.constants = set()  # Odd ones that the code builds in registers.
         waiting = set(elf.starts)
         while waiting:
             for start in waiting:
@@ -59,101 +53,80 @@ class CallGraph:
             # A function that never returns ends the paths of its callers; until none more is found.
             found = {s for s, f in self.functions.items() if not self.can_return(f)} - self.never_return
             self.never_return |= found
-            waiting = {s for s, f in self.functions.items() if any(call.target in found for call in f.calls)}
+            waiting = {s for s, f in self.functions.items() if any(call.target in found for call in f.calls.values())}
 
     def can_return(self, function):
-        if function.returns:
-            return True
-        tails = [call.target for call in function.calls if call.is_tail]
-        return any(target is None or target not in self.never_return for target in tails)
+        tails = (call.target for call in function.calls.values() if call.is_tail)
+        return function.returns or any(target not in self.never_return for target in tails)
 
     def analyse(self, start):
-        function = Function(start)
-        states = {start: {"sp": Offset(0)}}
-        calls, waiting, deeper = {}, [start], {}
+        function, states, waiting = Function(start), {start: {SP: STACK}}, [start]
         while waiting:
-            address = waiting.pop()
-            instruction = self.elf.instructions.get(address)
+            place = heappop(waiting)
+            instruction, state = self.elf.instructions.get(place), states[place]
             if instruction is None:
-                function.problems.append(f"execution runs into data at {address:#x}")
+                function.problems.add(f"execution runs into data at {place:#x}")
                 continue
-            state = states[address]
-            before = state.get("sp")
-            if not isinstance(before, Offset):
-                function.problems.append(f"the stack pointer is unknown at {address:#x}")
+            if not STACK - MOST <= state.get(SP, 0) <= STACK:
+                function.problems.add(f"the stack pointer is unknown or moves in a loop at {place:#x}")
                 continue
-            after = transfer(self.elf, instruction, state)
-            depth = after.get("sp", before)
-            depth = -min(before.bytes, depth.bytes if isinstance(depth, Offset) else before.bytes)
-            function.depth = max(function.depth, depth)
-            self.constants.update(value for value in after.values() if isinstance(value, int) and value & 1)
-            following = self.step(function, instruction, state, calls, -before.bytes)
-            function.successors[address] = following
-            for next_ in following:
-                known = states.get(next_)
-                joined = join(known, after)
-                if joined == known:
-                    continue
-                if known is not None and joined.get("sp") != known.get("sp"):
-                    deeper[next_] = deeper.get(next_, 0) + 1
-                    if deeper[next_] > MOST_DEPTHS:
-                        function.problems.append(f"the stack grows in a loop at {next_:#x}")
-                        continue
-                states[next_] = joined
-                waiting.append(next_)
-        function.calls = list(calls.values())
-        function.problems = sorted(set(function.problems))
-        function.traps = sorted(set(function.traps))
+            after = self.transfer(place, instruction, state)
+            function.depth = max(function.depth, STACK - after.get(SP, STACK))
+            function.successors[place] = self.step(function, place, instruction, state)
+            for following in function.successors[place]:
+                known = states.get(following)
+                states[following] = join(known, after)
+                if states[following] != known:
+                    heappush(waiting, following)
         return function
 
-    def step(self, function, instruction, state, calls, depth):
+    def step(self, function, place, instruction, state):
         """Addresses that follow in this function; notes calls, traps and returns."""
-        name, operands, address = instruction.name, instruction.operands, instruction.address
-        following = [address + instruction.size]
+        name, following = instruction.name, [place + instruction.size]
+        otherwise = following if place in self.elf.conditional else []
+
+        def call(target, is_tail=True):
+            function.calls[place] = Call(target, STACK - state[SP], is_tail)
+
+        def pointer(operand):
+            value = state.get(operand.reg)
+            return None if value is None else value & ~1
+
         if name in TRAPS:
-            function.traps.append(address)
+            function.traps.add(place)
             return following if name == "svc" else []
         if name in ("b", "cbz", "cbnz"):
-            target = direct(operands)
-            if target in self.elf.names and target != function.start:
-                calls[address] = Call(address, target, depth, is_tail=True)
-                jumps = []
-            else:
-                jumps = [target]
-            goes_on = instruction.is_conditional or name != "b"
-            return jumps + (following if goes_on else [])
+            target = place + instruction.operands[-1].imm
+            if target not in self.elf.names or target == function.start:
+                return [target, *otherwise]
+            call(target)
+            return otherwise
         if name in ("bl", "blx"):
-            target = direct(operands) if name == "bl" else constant(state.get(operands))
-            calls[address] = Call(address, target, depth)
-            if target in self.never_return and not instruction.is_conditional:
-                return []
-            return following
-        if name == "bx" or (name == "mov" and operands.startswith("pc,")):
-            register = operands.split(", ")[-1]
-            if register == "lr":
+            operand = instruction.operands[0]
+            call(place + operand.imm if name == "bl" else pointer(operand), is_tail=False)
+            return otherwise if function.calls[place].target in self.never_return else following
+        if name in ("tbb", "tbh"):
+            return self.table(place, instruction, function.start)
+        if PC in instruction.writes:
+            operand = instruction.operands[-1]
+            if name in ("bx", "mov") and operand.reg != LR:
+                call(pointer(operand))
+            elif name in ("bx", "mov") or SP in instruction.writes:
                 function.returns = True
             else:
-                calls[address] = Call(address, constant(state.get(register)), depth, is_tail=True)
-            return following if instruction.is_conditional else []
-        if name in ("tbb", "tbh"):
-            return self.table(instruction, function.start)
-        if re.search(r"\{.*\bpc\b.*\}", operands) or (name == "ldr" and operands.startswith("pc, [sp]")):
-            function.returns = True
-            return following if instruction.is_conditional else []
-        if re.match(r"pc\b", operands) and name not in READS and not name.startswith("st"):
-            function.problems.append(f"{name} {operands} at {address:#x}")
-            return []
+                function.problems.add(f"unknown jump at {place:#x}")
+            return otherwise
         if following[0] in self.elf.names and following[0] != function.start:
-            calls[address] = Call(address, following[0], depth, is_tail=True)
+            call(following[0])
             return []
         return following
 
-    def table(self, instruction, start):
+    def table(self, place, instruction, start):
         """Targets of a jump by a table behind the instruction, which follow the table in the function. Literals may be between
         both: the first that is no target ends the table."""
-        if not instruction.operands.startswith("[pc"):
+        if instruction.operands[0].mem.base != PC:
             return []
-        base, width = instruction.address + 4, 1 if instruction.name == "tbb" else 2
+        base, width = place + 4, 1 if instruction.name == "tbb" else 2
         place, found = base, set()
         end = next((other for other in self.elf.starts if other > start), WORD)
         while place in self.elf.data and place < min(found, default=WORD):
@@ -165,139 +138,68 @@ class CallGraph:
             place += width
         return sorted(found)
 
+    def transfer(self, place, instruction, state):
+        """Registers after an instruction."""
+        written, after = instruction.writes, state
+        if instruction.name in ("bl", "blx"):
+            written = written | CLOBBERED
+        if not written.isdisjoint(state):
+            after = {register: value for register, value in state.items() if register not in written}
+        if SP in written or instruction.name in COMPUTED:
+            value = self.computed(place, instruction, state)
+            if value is not None:
+                after = after | {SP if SP in written else instruction.operands[0].reg: value}
+                if value & 1:
+                    self.constants.add(value)
+        return join(state, after) if place in self.elf.conditional else after
 
-def direct(operands):
-    return int(re.search(r"(?:^|, )([0-9a-f]{6,8}) <", operands)[1], 16)
+    def computed(self, place, instruction, state):
+        """The value that an instruction writes, to the stack pointer or else its first operand, where it is known."""
+        name, operands = instruction.name, instruction.operands
 
+        def base(register):
+            return place + 4 & ~3 if register == PC else state.get(register)
 
-def constant(value):
-    return value & ~1 if isinstance(value, int) else None
+        def value(operand):
+            if operand.type == IMMEDIATE:
+                return operand.imm & WORD
+            return state.get(operand.reg) if operand.type == REGISTER and not operand.shift.type else None
+
+        if name in LISTS:
+            return state[SP] + LISTS[name] * sum(8 if ARM_REG_D0 <= one.reg <= ARM_REG_D31 else 4 for one in operands)
+        if instruction.decoded.writeback:
+            offsets = [one.mem.disp if one.type == MEMORY else one.imm for one in operands if one.type != REGISTER]
+            return state[SP] + sum(offsets) if offsets and SP in instruction.writes else None
+        if name == "mov":
+            return value(operands[1])
+        if name == "movt" and (low := value(operands[0])) is not None:
+            return operands[1].imm << 16 | low & 0xFFFF
+        if name in ("add", "sub"):
+            return add(base(operands[-2].reg), value(operands[-1]), -1 if name == "sub" else 1)
+        if name == "adr":
+            return add(base(PC), value(operands[1]))
+        if name == "ldr" and not operands[1].mem.index:
+            address = add(base(operands[1].mem.base), operands[1].mem.disp & WORD)
+            return None if address is None else self.elf.read(address, 4, is_constant=True)
+        return None
 
 
 def join(old, new):
     """What holds on both paths; of two depths of the stack the deeper."""
-    if old is None:
-        return dict(new)
-    joined = {name: value for name, value in old.items() if new.get(name) == value}
-    depths = old.get("sp"), new.get("sp")
-    if all(isinstance(depth, Offset) for depth in depths):
-        joined["sp"] = min(depths, key=lambda depth: depth.bytes)
+    if old is None or old == new:
+        return new
+    joined = {register: value for register, value in old.items() if new.get(register) == value}
+    if SP in old and SP in new:
+        joined[SP] = min(old[SP], new[SP])
     return joined
 
 
-def transfer(elf, instruction, state):
-    """Registers after an instruction."""
-    name, operands = instruction.name, instruction.operands
-    state = dict(state)
-    if name in ("bl", "blx"):
-        for register in CLOBBERED:
-            state.pop(register, None)
-        return state
-    if name in ("push", "vpush", "stmdb", "vstmdb", "pop", "vpop", "ldmia", "vldmia", "stmia", "vstmia", "ldmdb"):
-        base, registers = ("sp", operands) if name.endswith(("push", "pop")) else operands.split(", ", 1)
-        names = listed(registers)
-        if "st" not in name and "push" not in name:
-            for register in names:
-                if register != "sp":
-                    state.pop(register, None)
-        if name.endswith(("push", "pop")) or base.endswith("!"):
-            size = sum(8 if register.startswith("d") else 4 for register in names)
-            down = "push" in name or name.endswith("db")
-            move(state, base.rstrip("!"), -size if down else size)
-        return state
-    # Write-back of an address.
-    if match := re.search(r"\[(\w+), #(-?\d+)\]!", operands) or re.search(r"\[(\w+)\], #(-?\d+)", operands):
-        move(state, match[1], int(match[2]))
-    elif match := re.search(r"\[(\w+), .*\]!|\[(\w+)\], \w", operands):
-        state.pop(match[1] or match[2], None)
-    if name in READS or (name.startswith(("str", "vstr", "stm")) and not name.startswith("strex")):
-        return state
-    parts = [part.strip() for part in operands.split(",")]
-    destinations = 2 if name in ("ldrd", "ldrexd", "umull", "smull", "umlal", "smlal", "umaal") or (
-        name.startswith("vmov") and len(parts) >= 3
-    ) or name.startswith(("smlal", "smlsl")) else 1
-    value = computed(elf, instruction, state, parts)
-    if instruction.is_conditional and state.get(parts[0]) != value:
-        old = state.get(parts[0])
-        both = isinstance(old, Offset) and isinstance(value, Offset) and parts[0] == "sp"
-        value = min(old, value, key=lambda depth: depth.bytes) if both else None
-    for register in parts[:destinations]:
-        state.pop(register, None)
-    if value is not None:
-        state[parts[0]] = value
-    return state
-
-
-def move(state, register, size):
-    value = add(state.get(register), size)
-    state.pop(register, None)
-    if value is not None:
-        state[register] = value
-
-
-def add(value, size):
-    if isinstance(value, Offset) and isinstance(size, int):
-        # As a 32-bit number.
-        size = (size + 0x8000_0000 & WORD) - 0x8000_0000
-        return Offset(value.bytes + size)
-    if isinstance(value, int) and isinstance(size, int):
-        return value + size & WORD
-    return None
-
-
-def listed(registers):
-    """Names in a list of registers with ranges."""
-    found = []
-    for word in registers.strip("{} ^").split(","):
-        ends = word.strip().split("-")
-        if len(ends) == 2:
-            kind, low, high = ends[0][0], int(ends[0][1:]), int(re.sub(r"\D", "", ends[1]))
-            found += [f"{kind}{number}" for number in range(low, high + 1)]
-        else:
-            found += ends
-    return found
-
-
-def computed(elf, instruction, state, parts):
-    """The value that an instruction writes, where it is known."""
-    name = instruction.name
-
-    def operand(text):
-        if match := re.fullmatch(r"#(-?\d+)(?: .*)?", text):
-            return int(match[1])
-        return state.get(text)
-
-    if name in ("mov", "movs", "movw") and len(parts) == 2:
-        value = operand(parts[1])
-        return value & WORD if isinstance(value, int) else value
-    if name == "movt":
-        low, high = state.get(parts[0]), operand(parts[1])
-        return high << 16 | low & 0xFFFF if isinstance(low, int) and isinstance(high, int) else None
-    if name in ("add", "adds", "addw", "sub", "subs", "subw"):
-        if len(parts) > 3:
-            return None
-        left, right = operand(parts[-2]), operand(parts[-1])
-        if parts[-2] == "pc" and isinstance(right, int):
-            left = instruction.address + 4 & ~3
-        if name.startswith("sub"):
-            right = -right if isinstance(right, int) else None
-        elif isinstance(right, Offset):
-            left, right = right, left
-        return add(left, right)
-    if name in ("bic", "bics") and len(parts) in (2, 3):
-        value, mask = operand(parts[-2]), operand(parts[-1])
-        if isinstance(value, Offset) and isinstance(mask, int):
-            return Offset(value.bytes - mask)
-    if name == "bfc" and parts[1] == "#0":
-        value, bits = state.get(parts[0]), operand(parts[2])
-        if isinstance(value, Offset):
-            return Offset(value.bytes - (1 << bits) + 1)
-    if name == "ldr" and len(parts) >= 2:
-        text = instruction.operands
-        if match := re.search(r"\[pc, .*@([0-9a-f]+)$", text):
-            return elf.read(int(match[1], 16), 4)
-        if match := re.fullmatch(r"\w+, \[(\w+)(?:, #(-?\d+))?\](?: @.*)?", text):
-            base = state.get(match[1])
-            if isinstance(base, int):
-                return elf.read(base + int(match[2] or 0) & WORD, 4, is_constant=True)
-    return None
+def add(left, right, sign=1):
+    """Sum or difference as 32-bit numbers, or relative to the stack pointer."""
+    if left is None or right is None:
+        return None
+    if right > WORD and sign > 0:
+        left, right = right, left
+    if left > WORD:
+        return left + sign * ((right + 0x8000_0000 & WORD) - 0x8000_0000)
+    return left + sign * right & WORD

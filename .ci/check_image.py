@@ -3,9 +3,8 @@
 - The vector table is at the start of flash and points into RAM and flash.
 - The stack is at the start of RAM, below the statics; a fault of the core and the non-maskable interrupt
   end in the firmware's own handlers; the record of a crash is in memory that the start leaves alone.
-- From every handler of the vector table and every task no panic and no trap is reachable except the listed ones
-  (`allowed_panics.py`), and every call through a pointer has known targets (`indirect_calls.py`); from the models and
-  the motor's interrupts none at all.
+- From every handler of the vector table and every task no panic and no trap is reachable except the listed ones, and every
+  call through a pointer has known targets (`image_rules.toml`); from the models and the motor's interrupts none at all.
 - The deepest stack of all levels of priority, nested, fits, and is no less than the measured one in PROFILE, the output of
   `magpie dev emulate --json`.
 - The kernels and the motor's interrupts are in the memory next to the core; the kernels' code, with the tables
@@ -13,19 +12,22 @@
 
 `check_image.py --kernels ELF` looks at the kernels alone, wherever they are.
 
-Needs objdump and addr2line for arm-none-eabi (Debian: binutils-arm-none-eabi).
+`.ci/python` runs it with the packages that it needs; c++filt and addr2line for arm-none-eabi are in Debian's
+binutils-arm-none-eabi.
 """
 
+import gc
 import json
 import sys
+import tomllib
 from pathlib import Path
 
-import allowed_panics
 import entries
 from call_graph import CallGraph
-from disassembly import Elf, plain
-from panic_freedom import EXCEPTION_FRAME, Image, find_panics, path
+from elf import Elf
+from panic_freedom import EXCEPTION_FRAME, Image, find_panics, matches, path
 
+RULES = Path(__file__).parent / "image_rules.toml"
 # The first bank: the other has calibrations and parameters, and is erased and written while the image runs. The linker refuses
 # more.
 FLASH = range(0x0800_0000, 0x0804_0000)
@@ -57,7 +59,7 @@ def check_vectors(elf):
 
 
 def check_crash(elf):
-    places = {name: address for name, address, _ in elf.symbols}
+    places = elf.addresses
     for handler, default in (("HardFault", "HardFault_"), ("NonMaskableInt", "DefaultHandler_")):
         if places.get(handler) in (None, places.get(default)):
             sys.exit(f"{elf.path}: {handler} is not the firmware's own: a crash would leave no record")
@@ -70,9 +72,9 @@ def check_kernels(elf, graph):
     section = elf.sections.get(".ccm")
     if section is None or section.size == 0 or section.load == section.address:
         sys.exit(f"{elf.path}: no kernels in .ccm: the linker script was lost")
-    if not any(plain(name) == COPY for name, _, _ in elf.symbols):
+    if COPY not in elf.addresses:
         sys.exit(f"{elf.path}: nobody copies the kernels out of flash")
-    table = next((size for name, _, size in elf.symbols if name.startswith(TABLE)), 0)
+    table = next((size for name, size in elf.sizes.items() if name.startswith(TABLE)), 0)
     stop = section.address + section.size
     ends = [start for start in elf.starts if section.address <= start < stop] + [stop]
     for start, end in zip(ends, ends[1:]):
@@ -88,37 +90,39 @@ def check_kernels(elf, graph):
 
 
 def check_entries(image):
-    """The entries of the image: name to function, and task to poll function."""
-    elf, graph = image.elf, image.graph
+    """The entries of the image: name to function, its handlers, and task to poll function."""
+    elf = image.elf
     handlers, reset = entries.vectors(elf)
-    spawned = entries.spawned()
     polls = [start for start in image.polls if elf.places[start].endswith("::poll")]
-    tasks = entries.tasks(elf, graph, polls)
+    tasks, spawned = entries.tasks(elf, image.graph, polls), entries.spawned()
     if tasks.keys() != spawned.keys() or any(len(places) != 1 for places in tasks.values()):
         sys.exit(f"{elf.path}: poll functions of tasks {sorted(tasks)}, but the sources have {sorted(spawned)}")
+    tasks = {task: places[0] for task, places in tasks.items()}
     found = {"Reset": reset, "panic handler": image.handler[0]}
     found |= {handler.name: handler.address for handler in handlers}
-    found |= {f"task {task}": places[0] for task, places in tasks.items()}
-    return found, handlers, {task: places[0] for task, places in tasks.items()}, spawned
+    return found | {f"task {task}": start for task, start in tasks.items()}, handlers, tasks
 
 
-def check_panics(image, places):
+def applies(rule, panic):
+    return matches(rule["patterns"], panic.text) and panic.entries <= set(rule.get("entries", panic.entries))
+
+
+def check_panics(image, places, rules):
     elf = image.elf
     panics, reached = find_panics(image, places)
-    used, refused = set(), {}
+    unused, refused = list(rules), {}
     for panic in panics:
-        rule = next((rule for rule in allowed_panics.RULES if rule.applies(panic)), None)
-        if rule:
-            used.add(rule)
-        else:
+        rule = next((rule for rule in rules if applies(rule, panic)), None)
+        if rule is None:
             refused.setdefault(panic.text, panic)
+        elif rule in unused:
+            unused.remove(rule)
     for panic in refused.values():
         print(f"at {panic.site:#010x}, line {panic.frames[0].line}, {panic.text}")
-        print("    path: " + " > ".join(path(image, reached, panic)))
-    stale = [rule.pattern for rule in allowed_panics.RULES if rule not in used]
-    problems = sorted(set(image.problems)) + [f"no panic is {pattern}: remove the rule" for pattern in stale]
+        print("    path: " + " > ".join(path(image, places, panic)))
+    problems = sorted(set(image.problems)) + [f"no panic is {rule['patterns']}: remove the rule" for rule in unused]
     problems += [
-        f"{elf.names[start]}: {problem}" for start in reached for problem in image.graph.functions[start].problems
+        f"{elf.names[start]}: {problem}" for start in reached for problem in sorted(image.graph.functions[start].problems)
     ]
     for problem in problems:
         print(problem)
@@ -133,20 +137,19 @@ def check_panics(image, places):
             sys.exit(f"{elf.path}: a panic is reachable from {elf.names[start]}")
     print(
         f"{len(places)} entries reach {len(reached)} functions, {image.indirect} calls through pointers and {len(panics)} "
-        f"branches to a panic, all of which {len(used)} rules exclude; none from the models and the motor's interrupts"
+        f"branches to a panic, all of which {len(rules)} rules exclude; none from the models and the motor's interrupts"
     )
     return kernels
 
 
-def check_stack(image, handlers, tasks, spawned, reset, kernels, profile):
-    elf = image.elf
-    executors = {}
-    for task, start in tasks.items():
-        executors.setdefault(spawned[task], set()).add(start)
-    exited = {start for start in image.polls if start not in tasks.values()}
+def check_stack(image, handlers, tasks, reset, kernels, profile):
+    elf, executors = image.elf, {}
+    for task, level in entries.spawned().items():
+        executors.setdefault(level, set()).add(tasks[task])
+    exited = image.polls - set(tasks.values())
     levels_of = {handler.address: handler.name for handler in handlers}
-    levels_of |= dict.fromkeys(image.matching(entries.THREAD_EXECUTOR), entries.THREAD)
-    stack = image.stacks(lambda start: exited | executors.get(levels_of.get(start), set(image.polls)))
+    levels_of |= dict.fromkeys(image.matching([entries.THREAD_EXECUTOR]), entries.THREAD)
+    stack = image.stacks(lambda start: exited | executors.get(levels_of.get(start), image.polls))
     if image.problems:
         sys.exit(f"{elf.path}: " + "; ".join(sorted(set(image.problems))))
     levels = {}
@@ -177,21 +180,20 @@ def check_stack(image, handlers, tasks, spawned, reset, kernels, profile):
 
 
 def main(path_, profile=None):
-    elf = Elf(path_)
+    elf, rules = Elf(path_), tomllib.loads(RULES.read_text())
     check_vectors(elf)
     check_crash(elf)
-    image = Image(elf)
-    places, handlers, tasks, spawned = check_entries(image)
-    kernels = check_panics(image, places)
-    check_stack(image, handlers, tasks, spawned, places["Reset"], kernels, profile)
-    addresses = {name: address for name, address, _ in elf.symbols}
-    sections = elf.sections
-    if sections[".ccm"].address not in CCM or any(addresses[name] not in CCM for name in DRIVE):
+    image = Image(elf, rules["calls"])
+    places, handlers, tasks = check_entries(image)
+    kernels = check_panics(image, places, rules["panics"])
+    check_stack(image, handlers, tasks, places["Reset"], kernels, profile)
+    if elf.sections[".ccm"].address not in CCM or any(elf.addresses[name] not in CCM for name in DRIVE):
         sys.exit(f"{elf.path}: the kernels or the motor's interrupts are not in the memory next to the core")
     check_kernels(elf, image.graph)
-    flash = sum(section.size for name, section in sections.items() if section.load in FLASH and name != ".bss")
-    ram = sum(section.size for section in sections.values() if section.address in RAM)
-    ccm = sum(section.size for section in sections.values() if section.address in CCM)
+    sections = elf.sections.values()
+    flash = sum(len(section.contents) for section in sections if section.load in FLASH)
+    ram = sum(section.size for section in sections if section.address in RAM)
+    ccm = sum(section.size for section in sections if section.address in CCM)
     print(
         f"flash {flash} of {len(FLASH)} bytes, RAM {ram} of {len(RAM)} bytes and {len(STACK)} of stack, "
         f"{ccm} of {len(CCM)} bytes next to the core"
@@ -199,6 +201,8 @@ def main(path_, profile=None):
 
 
 if __name__ == "__main__":
+    # A quarter of the time, for nothing: what is built here stays until the end.
+    gc.disable()
     if sys.argv[1] == "--kernels":
         kernels_elf = Elf(sys.argv[2])
         check_kernels(kernels_elf, CallGraph(kernels_elf))

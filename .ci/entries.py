@@ -7,13 +7,12 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from disassembly import without_types
+from elf import without_types
 
 BOARD = Path(__file__).parent.parent / "firmware/src/board/nucleo_g474"
 # Task that `main` becomes.
 MAIN = "main"
-# Exceptions before the first interrupt, in words of the vector table: the first is the stack.
-EXCEPTIONS = 16
+# Words of the vector table.
 RESET, NON_MASKABLE, HARD_FAULT = 1, 2, 3
 # Priorities of the exceptions without a settable one.
 FIXED = {RESET: -3, NON_MASKABLE: -2, HARD_FAULT: -1}
@@ -34,22 +33,20 @@ def vectors(elf):
     """Each handler in the vector table once, at its most urgent priority, and the address of the reset handler."""
     section = elf.sections[".vector_table"]
     names = {}
-    for name, address, _ in elf.symbols:
-        names.setdefault(address & ~1, set()).add(name)
+    for name, address in elf.addresses.items():
+        names.setdefault(address, set()).add(name)
     urgent, found = priorities(), {}
-    for word in range(1, section.size // 4):
-        target = elf.read(section.address + 4 * word, 4)
-        if not target:
-            continue
-        address = target & ~1
-        all_names = names.get(address, {f"{address:#x}"})
-        priority = FIXED.get(word, min((urgent.get(name, DEFAULT_PRIORITY) for name in all_names)))
-        if address not in found or priority < found[address].priority:
-            capitals = {name for name in all_names if name.isupper()}
-            name = min(all_names & urgent.keys() or capitals or all_names)
-            found[address] = Handler(address, name, priority)
     reset = elf.read(section.address + 4 * RESET, 4) & ~1
-    return [handler for handler in found.values() if handler.address != reset], reset
+    for word in range(RESET + 1, section.size // 4):
+        address = elf.read(section.address + 4 * word, 4) & ~1
+        if address in (0, reset):
+            continue
+        all_names = names.get(address, {f"{address:#x}"})
+        priority = FIXED.get(word, min(urgent.get(name, DEFAULT_PRIORITY) for name in all_names))
+        if address not in found or priority < found[address].priority:
+            name = min(all_names & urgent.keys() or {name for name in all_names if name.isupper()} or all_names)
+            found[address] = Handler(address, name, priority)
+    return list(found.values()), reset
 
 
 def priorities():
@@ -84,16 +81,16 @@ def spawned():
 
 def tasks(elf, graph, polls):
     """Task to its poll function, by the task's body that is inlined or called there."""
-    sites = {start: [call.site for call in graph.functions[start].calls] for start in polls}
-    frames = elf.frames(site for places in sites.values() for site in places)
-    found = {}
-    for start, places in sites.items():
-        texts = {frame.name for place in places for frame in frames.get(place, ())}
-        texts |= {elf.names[call.target] for call in graph.functions[start].calls if call.target in elf.names}
+    calls = {start: graph.functions[start].calls for start in polls}
+    frames = elf.frames(site for found in calls.values() for site in found)
+    tasks_of = {}
+    for start, found in calls.items():
+        texts = {frame.name for site in found for frame in frames[site]}
+        texts |= {elf.names[call.target] for call in found.values() if call.target in elf.names}
         matches = (re.search(r"::__(\w+)_task::", without_types(text)) for text in texts)
         names = {match[1] for match in matches if match}
-        names = {MAIN if name == "__embassy_main" else name for name in names}
         if len(names) != 1:
             raise ValueError(f"the poll function at {start:#x} belongs to the tasks {sorted(names)}")
-        found.setdefault(names.pop(), []).append(start)
-    return found
+        name = names.pop()
+        tasks_of.setdefault(MAIN if name == "__embassy_main" else name, []).append(start)
+    return tasks_of

@@ -4,14 +4,16 @@ A panic is a call of a function all of whose paths end in the panic handler. As 
 many panics: what distinguishes them are the branches that decide for the call, and the functions inlined at these branches.
 """
 
+import functools
+import itertools
 import linecache
 import re
-from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
-import indirect_calls
+import networkx
+
 from call_graph import CallGraph
-from disassembly import Frame
+from elf import joined
 
 HANDLER = re.compile(r"\brust_begin_unwind$")
 # An exception's frame with floating-point state (ARMv7-M B1.5.7), and alignment to 8 bytes.
@@ -26,239 +28,172 @@ class Panic:
     function: int
     site: int
     frames: list
-    entries: set = field(default_factory=set)
+    entries: set  # Names of those that reach it.
 
-    @property
+    @functools.cached_property
     def text(self):
-        return f"{self.kind}: " + " < ".join(frame.place for frame in self.frames)
+        return f"{self.kind}: {joined(self.frames)}"
+
+
+def matches(patterns, text):
+    return any(re.search(pattern, text) for pattern in patterns)
 
 
 class Image:
-    """The call graph with indirect calls resolved."""
+    """The call graph, with the calls through pointers resolved by rules (`image_rules.toml`)."""
 
-    def __init__(self, elf):
+    def __init__(self, elf, rules):
         self.elf = elf
         self.graph = CallGraph(elf)
         self.problems = []
         self.handler = [start for start, name in elf.names.items() if HANDLER.search(name)]
         if len(self.handler) != 1:
             self.problems.append(f"{len(self.handler)} panic handlers")
-        stored = self.stored_functions()
-        self.polls = [start for start in self.matching(indirect_calls.TASK_POLL) if start in stored]
-        self.resolve()
+        self.polls = set()  # Functions that poll a task.
+        self.edges = {start: [] for start in elf.starts}  # Target, depth, whether an executor polls a task there.
+        self.resolve(rules)
         self.panicking = self.panicking_functions()
+        # What each function calls apart from panics. Tasks are entries of their own.
+        self.calls = networkx.DiGraph()
+        self.calls.add_nodes_from(elf.starts)
+        for start, edges in self.edges.items():
+            if start not in self.panicking or start in self.handler:
+                targets = {target for target, _, is_poll in edges if not is_poll}
+                self.calls.add_edges_from((start, target) for target in targets - self.panicking)
 
-    def matching(self, pattern):
-        return [start for start, place in self.elf.places.items() if re.search(pattern, place)]
+    def matching(self, patterns):
+        return {start for start, place in self.elf.places.items() if matches(patterns, place)}
 
-    def resolve(self):
-        """Targets of each call site: (function, target, depth, whether an executor polls a task there)."""
-        functions = self.graph.functions
-        unknown = [call.site for function in functions.values() for call in function.calls if call.target is None]
-        frames = self.elf.frames(unknown)
-        self.indirect = len(unknown)
-        stored = self.stored_functions()
-        used, targets = set(), {}
-        for rule in indirect_calls.RULES:
-            targets[rule] = {t for t in stored if rule.targets and re.search(rule.targets, self.elf.places[t])}
-        self.edges = {}
-        for start, function in functions.items():
-            edges = self.edges[start] = []
-            for call in function.calls:
-                if call.target is not None:
-                    if call.target in functions:
-                        edges.append((call.target, call.depth, False))
-                    else:
-                        self.problems.append(f"{self.elf.names[start]} calls {call.target:#x}, where no function begins")
-                    continue
-                rule = indirect_calls.find(frames.get(call.site, ()))
+    def resolve(self, rules):
+        calls = [(start, *call) for start, function in self.graph.functions.items() for call in function.calls.items()]
+        frames = self.elf.frames(site for _, site, call in calls if call.target is None)
+        self.indirect = len(frames)
+        stored, used = self.stored_functions(), []
+        targets = [self.matching(rule["targets"]) & stored.keys() for rule in rules]
+        for start, site, call in calls:
+            if call.target is None:
+                text = joined(frames[site])
+                rule = next((number for number, rule in enumerate(rules) if matches(rule["sites"], text)), None)
                 if rule is None:
-                    text = " < ".join(frame.place for frame in frames.get(call.site, ())[:6])
-                    self.problems.append(f"call through a pointer at {call.site:#x} in {self.elf.names[start]}: {text}")
+                    self.problems.append(f"call through a pointer at {site:#x} in {self.elf.names[start]}: {text}")
                     continue
-                used.add(rule)
-                is_poll = rule.targets == indirect_calls.TASK_POLL
-                edges += [(target, call.depth, is_poll) for target in targets[rule]]
-        for rule in indirect_calls.RULES:
-            if rule not in used:
-                self.problems.append(f"no call through a pointer is in {rule.site}: remove the rule")
-            if rule.targets and not targets[rule]:
-                self.problems.append(f"no stored function is {rule.targets}: correct the rule")
-        called = set().union(*targets.values())
-        direct = {target for edges in self.edges.values() for target, _, _ in edges}
-        never = {pattern: set(self.matching(pattern)) & stored.keys() for pattern, _ in indirect_calls.NEVER_CALLED}
-        self.problems += [f"no stored function is {pattern}: remove it" for pattern, found in never.items() if not found]
-        called = called.union(*never.values())
+                used.append(rule)
+                is_poll = rules[rule].get("polls_tasks", False)
+                self.edges[start] += [(target, call.depth, is_poll) for target in targets[rule]]
+            elif call.target in self.edges:
+                self.edges[start].append((call.target, call.depth, False))
+            else:
+                self.problems.append(f"{self.elf.names[start]} calls {call.target:#x}, where no function begins")
+        for number, rule in enumerate(rules):
+            if rule["sites"] and number not in used:
+                self.problems.append(f"no call through a pointer is in {rule['sites']}: remove the rule")
+            if rule["targets"] and not targets[number]:
+                self.problems.append(f"no stored function is {rule['targets']}: correct the rule")
+            if rule.get("polls_tasks"):
+                self.polls |= targets[number]
+        direct = {call.target for _, _, call in calls}
         for target, is_data in stored.items():
-            if target not in called and (is_data or target not in direct):
+            if target not in set().union(*targets) and (is_data or target not in direct):
                 self.problems.append(f"the address of {self.elf.places[target]} is stored, and no rule says what calls it")
 
     def stored_functions(self):
         """Functions whose address is in data, apart from the vector table, or built by code; whether it is in data."""
         table = self.elf.sections[".vector_table"]
-        found = {}
-        for place, word in self.elf.words():
+        found = {word & ~1: False for word in self.graph.constants if word & ~1 in self.elf.names}
+        for place, word, is_data in self.elf.words():
             if word & 1 and word & ~1 in self.elf.names and not 0 <= place - table.address < table.size:
-                found[word & ~1] = found.get(word & ~1, False) or self.elf.is_data(place)
-        for word in self.graph.constants:
-            if word & 1 and word & ~1 in self.elf.names:
-                found.setdefault(word & ~1, False)
+                found[word & ~1] = is_data or found.get(word & ~1, False)
         return found
 
     def panicking_functions(self):
         """Functions all of whose paths end in the panic handler."""
-        found = set(self.handler)
-        candidates = {start for start in self.graph.never_return if not has_cycle(self.graph.functions[start])}
-        while True:
-            more = {start for start in candidates - found if self.always_calls(start, found)}
-            if not more:
-                return found
+        ends = {}
+        for start in self.graph.never_return:
+            function = self.graph.functions[start]
+            if networkx.is_directed_acyclic_graph(networkx.DiGraph(function.successors)):
+                last = (site for site, following in function.successors.items() if not following)
+                ends[start] = {function.calls[site].target if site in function.calls else None for site in last}
+        found, more = set(), set(self.handler)
+        while more:
             found |= more
-
-    def always_calls(self, start, targets):
-        function = self.graph.functions[start]
-        calls = {call.site: call for call in function.calls}
-        ends = [site for site, following in function.successors.items() if not following]
-        return bool(ends) and all(site in calls and calls[site].target in targets for site in ends)
+            more = {start for start, targets in ends.items() if targets and targets <= found} - found
+        return found
 
     def reach(self, entry):
-        """Functions reached from one, each with the one that calls it on a shortest path; tasks are entries of their own."""
-        parents, waiting = {entry: None}, deque([entry])
-        while waiting:
-            start = waiting.popleft()
-            if start in self.panicking and start not in self.handler:
-                continue
-            for target, _, is_poll in self.edges[start]:
-                if target not in parents and not is_poll and target not in self.panicking:
-                    parents[target] = start
-                    waiting.append(target)
-        return parents
+        return {entry} | networkx.descendants(self.calls, entry)
 
     def panics(self, start):
         """Panics and traps in a function, by the branches that decide for them."""
         function = self.graph.functions[start]
-        sites = {call.site: "panic" for call in function.calls if call.target in self.panicking}
-        sites |= {site: "trap" for site in function.traps}
-        before = {}
-        for place, following in function.successors.items():
-            for next_ in following:
-                before.setdefault(next_, []).append(place)
+        sites = {site: "panic" for site, call in function.calls.items() if call.target in self.panicking}
+        sites |= dict.fromkeys(function.traps, "trap")
+        if not sites:
+            return []
+        branches = {place: following for place, following in function.successors.items() if len(following) > 1}
+        straight = networkx.DiGraph(function.successors)
+        straight.remove_edges_from([(place, next_) for place, following in branches.items() for next_ in following])
         found = []
         for site, kind in sites.items():
-            deciding, seen, waiting = set(), set(), [site]
-            instruction = self.elf.instructions[site]
-            if instruction.is_conditional or instruction.name in ("cbz", "cbnz"):
-                deciding.add(site)
-                waiting = []
-            while waiting:
-                place = waiting.pop()
-                if place in seen:
-                    continue
-                seen.add(place)
-                for previous in before.get(place, ()):
-                    if len(function.successors[previous]) > 1:
-                        deciding.add(previous)
-                    else:
-                        waiting.append(previous)
+            before = {site} | networkx.ancestors(straight, site)
+            deciding = {place for place, following in branches.items() if not before.isdisjoint(following)}
+            if site in self.elf.conditional:
+                deciding = {site}
             found += [(kind, branch) for branch in deciding or {site}]
         return found
 
     def stacks(self, targets_of_polls):
         """Function to the bytes of stack from it down, panics left out; `targets_of_polls` gives the tasks that a
         function polls."""
-        known, active = {}, []
-
-        def deepest(start):
-            if start in known:
-                return known[start]
-            if start in active:
-                names = [self.elf.names[place] for place in active[active.index(start) :]]
-                self.problems.append("recursion: " + " > ".join(names))
-                return 0
-            active.append(start)
-            below = [0]
-            for target, depth, is_poll in self.edges[start]:
-                if target in self.panicking or (is_poll and target not in targets_of_polls(start)):
-                    continue
-                below.append(depth + deepest(target))
-            active.pop()
-            known[start] = max(self.graph.functions[start].depth, *below)
-            return known[start]
-
-        for start in self.elf.starts:
-            if start not in self.panicking:
-                deepest(start)
-        return known
-
-
-def has_cycle(function):
-    done, active = set(), set()
-    stack = [(function.start, iter(function.successors.get(function.start, ())))]
-    active.add(function.start)
-    while stack:
-        place, following = stack[-1]
-        next_ = next(following, None)
-        if next_ is None:
-            stack.pop()
-            active.discard(place)
-            done.add(place)
-        elif next_ in active:
-            return True
-        elif next_ not in done:
-            active.add(next_)
-            stack.append((next_, iter(function.successors.get(next_, ()))))
-    return False
+        calls = networkx.DiGraph()
+        calls.add_nodes_from(self.edges.keys() - self.panicking)
+        for start in list(calls):
+            # The deepest call of each function last.
+            for target, depth, is_poll in sorted(self.edges[start], key=lambda edge: edge[1]):
+                if target in calls and (not is_poll or target in targets_of_polls(start)):
+                    calls.add_edge(start, target, depth=depth)
+        if cycle := next(networkx.simple_cycles(calls), None):
+            self.problems.append("recursion: " + " > ".join(self.elf.names[start] for start in cycle))
+            return {}
+        found = {}
+        for start in reversed(list(networkx.topological_sort(calls))):
+            below = (depth + found[target] for _, target, depth in calls.out_edges(start, data="depth"))
+            found[start] = max(self.graph.functions[start].depth, *below, 0)
+        return found
 
 
 def is_resumed_future(frames):
     """Whether a branch is the choice by the state of a future that an `async` block or function is compiled to: it has
     the line where the block begins, in the sources that the image was built from."""
-    file, line = frames[0].file, frames[0].line
-    if not re.search(r"\{closure[^{}]*\}+$", frames[0].name) or not line.isdigit():
+    frame = frames[0]
+    if not re.search(r"\{closure[^{}]*\}+$", frame.name) or not frame.line.isdigit():
         return False
-    line = int(line)
-    text = linecache.getline(file, line)
+    number = int(frame.line)
+    first, *before = (linecache.getline(frame.file, line) for line in range(number, max(0, number - SIGNATURE), -1))
     # An attribute that makes the block is before the signature.
-    if re.search(r"\basync\b", text) or text.startswith("#["):
+    if re.search(r"\basync\b", first) or first.startswith("#["):
         return True
-    if not re.match(r"\s*[){]", text):
-        return False
     # The last line of a signature of several.
-    for number in range(line - 1, max(0, line - SIGNATURE), -1):
-        text = linecache.getline(file, number)
-        if re.search(r"[;{}]\s*$", text):
-            return False
-        if re.search(r"\basync\b", text):
-            return True
-    return False
+    signature = itertools.takewhile(lambda text: not re.search(r"[;{}]\s*$", text), before)
+    return bool(re.match(r"\s*[){]", first)) and any(re.search(r"\basync\b", text) for text in signature)
 
 
 def find_panics(image, entries):
-    """Panics and traps reachable from the entries (name to function), and for each function reached from which and on
-    which path."""
+    """Panics and traps reachable from the entries (name to function), and the names of those that reach each function."""
     reached = {}
     for name, start in entries.items():
-        for function, parent in image.reach(start).items():
-            reached.setdefault(function, {})[name] = parent
-    places = {start: image.panics(start) for start in reached}
-    frames = image.elf.frames(site for found in places.values() for _, site in found)
+        for function in image.reach(start):
+            reached.setdefault(function, set()).add(name)
+    places = sorted((site, kind, start) for start in reached for kind, site in image.panics(start))
+    frames = image.elf.frames(site for site, _, _ in places)
     panics = []
-    for start, found in places.items():
-        for kind, site in found:
-            inlined = frames.get(site) or [Frame(image.elf.names[start], "", "")]
-            if kind != "trap" or is_resumed_future(inlined):
-                kind = "resumed future" if is_resumed_future(inlined) else "panic"
-            panics.append(Panic(kind, start, site, inlined, set(reached[start])))
+    for site, kind, start in places:
+        kind = "resumed future" if is_resumed_future(frames[site]) else kind
+        panics.append(Panic(kind, start, site, frames[site], reached[start]))
     return panics, reached
 
 
-def path(image, reached, panic):
+def path(image, entries, panic):
     """Names from the entry to the function of a panic, on the shortest of the shortest paths."""
-    paths = []
-    for entry in reached[panic.function]:
-        names, place = [], panic.function
-        while place is not None:
-            names.append(image.elf.names[place])
-            place = reached[place][entry]
-        paths.append([entry, *reversed(names)])
-    return min(paths, key=len)
+    paths = {name: networkx.shortest_path(image.calls, entries[name], panic.function) for name in sorted(panic.entries)}
+    name = min(paths, key=lambda name: len(paths[name]))
+    return [name, *(image.elf.names[start] for start in paths[name])]
