@@ -1,0 +1,58 @@
+"""Pages in a real browser, with what a person would see there that is wrong."""
+
+import contextlib
+
+from playwright.sync_api import sync_playwright
+
+# Width, height, device pixels to a pixel.
+SCREENS = {"laptop": (1280, 900, 1), "telephone": (390, 844, 2)}
+# A click shows its result within this time, in milliseconds: much more than on a machine that has nothing else to do.
+SHOWN_MS = 60000
+
+
+@contextlib.contextmanager
+def chromium():
+    with sync_playwright() as playwright:
+        yield playwright.chromium.launch(executable_path="/usr/bin/chromium", args=["--no-sandbox"])
+
+
+class Page:
+    """An opened page. It may fetch only what is below an address, and say nothing on the console."""
+
+    def __init__(self, browser, address, below, screen, scheme="light", script=True):
+        width, height, scale = SCREENS[screen]
+        context = browser.new_context(
+            viewport={"width": width, "height": height},
+            device_scale_factor=scale,
+            color_scheme=scheme,
+            java_script_enabled=script,
+            has_touch=screen == "telephone",
+        )
+        self.below = below
+        self.wrong = []
+        # Lines of the browser's own about refused requests or scripts, which the check provokes.
+        self.expected_errors = 0
+        self.page = context.new_page()
+        self.page.set_default_timeout(SHOWN_MS)
+        self.page.on("console", self.said)
+        self.page.on("pageerror", lambda error: self.wrong.append(f"error: {error}"))
+        self.page.on("request", self.requested)
+        self.page.goto(address)
+
+    def said(self, message):
+        lines = ("status of 422", "status of 409", "Content Security Policy")
+        if any(line in message.text for line in lines) and self.expected_errors > 0:
+            self.expected_errors -= 1
+        else:
+            self.wrong.append(f"console: {message.text}")
+
+    def requested(self, request):
+        self.check(request.url.startswith((self.below, "data:")), f"fetched {request.url}")
+
+    def check(self, good, what):
+        if not good:
+            self.wrong.append(what)
+
+    def check_width(self):
+        wide = self.page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
+        self.check(wide <= 0, f"the page is {wide} pixels too wide")
