@@ -1,8 +1,6 @@
 #!/usr/bin/env python3
 """Reads the golden frames through the .dbc with cantools, as a user's tool does, and writes them back; runs the example of
 firmware/SECURITY.md on a session that the gripper's own code has accepted.
-
-    golden_frames.py [FRAMES.csv [FILE.dbc]]
 """
 
 import csv
@@ -16,9 +14,14 @@ ROOT = Path(__file__).resolve().parent.parent
 CLOSE = 1e-9
 
 
-def meant(fields):
+def rows_of(file):
+    with open(ROOT / "tests/data" / file, newline="") as text:
+        return list(csv.DictReader(text))
+
+
+def meant(row):
     """The values that a row states, by signal."""
-    return {name: float(value) for name, value in (field.split("=") for field in fields.split())}
+    return {name: float(value) for name, value in (field.split("=") for field in row["fields"].split())}
 
 
 def faults(bus, row):
@@ -27,7 +30,7 @@ def faults(bus, row):
     if message.frame_id != int(row["identifier"], 16):
         yield f"identifier {message.frame_id:03X} instead of {row['identifier']}"
     read = message.decode(bytes.fromhex(row["bytes"]), decode_choices=False)
-    stated = meant(row["fields"])
+    stated = meant(row)
     if read.keys() != stated.keys():
         yield f"signals {sorted(read)} instead of {sorted(stated)}"
     for name in read.keys() & stated.keys():
@@ -40,37 +43,27 @@ def faults(bus, row):
 
 
 def session_faults(bus):
-    """What the documented example computes otherwise than the gripper's code does (tests/data/golden_session.csv)."""
-    text = (ROOT / "firmware/SECURITY.md").read_text()
-    example = {}
+    """What the documented example computes otherwise than the gripper's code does."""
+    text, example, rows = (ROOT / "firmware/SECURITY.md").read_text(), {}, rows_of("golden_session.csv")
     exec(text.split("```python\n")[1].split("```")[0], example)
-    with open(ROOT / "tests/data/golden_session.csv", newline="") as file:
-        rows = list(csv.DictReader(file))
-    key = bytes.fromhex(rows[0]["key"])
     reply = bus.decode_message("ServiceReply", bytes.fromhex(rows[0]["reply"]))
-    session = example["Session"](bus, key, example["challenge"](reply))
+    session = example["Session"](bus, bytes.fromhex(rows[0]["key"]), example["challenge"](reply))
     for row in rows:
-        for name, value in zip(("authentication", "message"), session.sealed(row["name"], **meant(row["fields"]))):
+        for name, value in zip(("authentication", "message"), session.sealed(row["name"], **meant(row))):
             if value[1] != bytes.fromhex(row[name]):
                 yield f"session, {row['name']}: {name} {value[1].hex(' ')} instead of {row[name]}"
 
 
-def main(frames=ROOT / "tests/data/golden_frames.csv", dbc=ROOT / "firmware/magpie.dbc"):
-    bus = cantools.database.load_file(dbc)
-    with open(frames, newline="") as file:
-        rows = list(csv.DictReader(file))
-    wrong = [
-        f"{row['message']} {row['case']}: {fault}" for row in rows for fault in faults(bus, row)
-    ]
+def main():
+    bus, rows = cantools.database.load_file(ROOT / "firmware/magpie.dbc"), rows_of("golden_frames.csv")
+    wrong = [f"{row['message']} {row['case']}: {fault}" for row in rows for fault in faults(bus, row)]
     absent = {message.name for message in bus.messages} - {row["message"] for row in rows}
-    wrong += [f"no frame of {name}" for name in sorted(absent)]
-    wrong += session_faults(bus)
+    wrong += [f"no frame of {name}" for name in sorted(absent)] + list(session_faults(bus))
     for line in wrong:
         print(line, file=sys.stderr)
-    signals = sum(len(meant(row["fields"])) for row in rows)
+    signals = sum(len(meant(row)) for row in rows)
     print(f"{len(rows)} frames, {signals} signals, {len(wrong)} read otherwise than stated")
-    return 1 if wrong or not rows else 0
+    sys.exit(bool(wrong))
 
 
-if __name__ == "__main__":
-    sys.exit(main(*sys.argv[1:]))
+main()
