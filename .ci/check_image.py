@@ -20,6 +20,7 @@ import gc
 import json
 import sys
 import tomllib
+from itertools import pairwise
 from pathlib import Path
 
 import entries
@@ -48,56 +49,53 @@ RECORD = "firmware::board::selected::crash::RECORD"
 CODE_LIMIT, KERNEL_STACK_LIMIT, STACK_LIMIT = 7 * 1024, 200, 1280
 
 
-def check_vectors(elf):
+def require(elf, good, message):
+    if not good:
+        sys.exit(f"{elf.path}: {message}")
+
+
+def check_start(elf):
+    """The vector table, and what happens in a crash."""
     section = elf.sections.get(".vector_table")
-    if section is None or section.address != FLASH.start or section.size < 8:
-        sys.exit(f"{elf.path}: no vector table at {FLASH.start:#010x}: the linker's arguments were lost")
+    is_placed = section is not None and section.address == FLASH.start and section.size >= 8
+    require(elf, is_placed, f"no vector table at {FLASH.start:#010x}: the linker's arguments were lost")
     stack, reset = (elf.read(section.address + offset, 4) for offset in (0, 4))
-    if stack != STACK.stop or reset not in FLASH or reset % 2 == 0:
-        sys.exit(f"{elf.path}: vectors make no sense: stack {stack:#x}, reset {reset:#x}")
+    makes_sense = stack == STACK.stop and reset in FLASH and reset % 2
+    require(elf, makes_sense, f"vectors make no sense: stack {stack:#x}, reset {reset:#x}")
     print(f"vector table at {section.address:#010x}: stack {stack:#010x}, reset {reset:#010x}")
-
-
-def check_crash(elf):
     places = elf.addresses
     for handler, default in (("HardFault", "HardFault_"), ("NonMaskableInt", "DefaultHandler_")):
-        if places.get(handler) in (None, places.get(default)):
-            sys.exit(f"{elf.path}: {handler} is not the firmware's own: a crash would leave no record")
+        is_own = places.get(handler) not in (None, places.get(default))
+        require(elf, is_own, f"{handler} is not the firmware's own: a crash would leave no record")
     section = elf.sections.get(".uninit")
-    if section is None or not 0 <= places.get(RECORD, 0) - section.address < section.size:
-        sys.exit(f"{elf.path}: {RECORD} is not in .uninit: a reset would clear it")
+    is_kept = section is not None and 0 <= places.get(RECORD, 0) - section.address < section.size
+    require(elf, is_kept, f"{RECORD} is not in .uninit: a reset would clear it")
 
 
 def check_kernels(elf, graph):
     section = elf.sections.get(".ccm")
-    if section is None or section.size == 0 or section.load == section.address:
-        sys.exit(f"{elf.path}: no kernels in .ccm: the linker script was lost")
-    if COPY not in elf.addresses:
-        sys.exit(f"{elf.path}: nobody copies the kernels out of flash")
+    is_copied = section is not None and section.size and section.load != section.address
+    require(elf, is_copied, "no kernels in .ccm: the linker script was lost")
+    require(elf, COPY in elf.addresses, "nobody copies the kernels out of flash")
     table = next((size for name, size in elf.sizes.items() if name.startswith(TABLE)), 0)
     stop = section.address + section.size
-    ends = [start for start in elf.starts if section.address <= start < stop] + [stop]
-    for start, end in zip(ends, ends[1:]):
-        name, bytes_, used = elf.names[start], end - start, graph.functions[start].depth
+    for start, end in pairwise([*(start for start in elf.starts if section.address <= start < stop), stop]):
+        name, code, used = elf.names[start], end - start, graph.functions[start].depth
         if "kernel" not in name:
             continue
         tables = table if "gru" in name and "finish" in name else 0
-        print(f"{name}: {bytes_} bytes of code, {tables} of tables, {used} of stack")
-        if bytes_ + tables > CODE_LIMIT:
-            sys.exit(f"{elf.path}: {name} and its tables take more than {CODE_LIMIT} bytes")
-        if used > KERNEL_STACK_LIMIT:
-            sys.exit(f"{elf.path}: {name} takes more than {KERNEL_STACK_LIMIT} bytes of stack")
+        print(f"{name}: {code} bytes of code, {tables} of tables, {used} of stack")
+        require(elf, code + tables <= CODE_LIMIT, f"{name} and its tables take more than {CODE_LIMIT} bytes")
+        require(elf, used <= KERNEL_STACK_LIMIT, f"{name} takes more than {KERNEL_STACK_LIMIT} bytes of stack")
 
 
 def check_entries(image):
     """The entries of the image: name to function, its handlers, and task to poll function."""
-    elf = image.elf
-    handlers, reset = entries.vectors(elf)
-    polls = [start for start in image.polls if elf.places[start].endswith("::poll")]
-    tasks, spawned = entries.tasks(elf, image.graph, polls), entries.spawned()
-    if tasks.keys() != spawned.keys() or any(len(places) != 1 for places in tasks.values()):
-        sys.exit(f"{elf.path}: poll functions of tasks {sorted(tasks)}, but the sources have {sorted(spawned)}")
-    tasks = {task: places[0] for task, places in tasks.items()}
+    handlers, reset = entries.vectors(image.elf)
+    polls = [start for start in image.polls if image.elf.places[start].endswith("::poll")]
+    tasks, spawned = entries.tasks(image.elf, image.graph, polls), entries.spawned()
+    is_known = tasks.keys() == spawned.keys() and len(tasks) == len(polls)
+    require(image.elf, is_known, f"{len(polls)} polls of tasks {sorted(tasks)}, but the sources have {sorted(spawned)}")
     found = {"Reset": reset, "panic handler": image.handler[0]}
     found |= {handler.name: handler.address for handler in handlers}
     return found | {f"task {task}": start for task, start in tasks.items()}, handlers, tasks
@@ -108,6 +106,7 @@ def applies(rule, panic):
 
 
 def check_panics(image, places, rules):
+    """Returns the functions of the models and the motor's interrupts."""
     elf = image.elf
     panics, reached = find_panics(image, places)
     unused, refused = list(rules), {}
@@ -121,20 +120,20 @@ def check_panics(image, places, rules):
         print(f"at {panic.site:#010x}, line {panic.frames[0].line}, {panic.text}")
         print("    path: " + " > ".join(path(image, places, panic)))
     problems = sorted(set(image.problems)) + [f"no panic is {rule['patterns']}: remove the rule" for rule in unused]
-    problems += [
-        f"{elf.names[start]}: {problem}" for start in reached for problem in sorted(image.graph.functions[start].problems)
-    ]
+    for start in reached:
+        problems += [f"{elf.names[start]}: {problem}" for problem in sorted(image.graph.functions[start].problems)]
     for problem in problems:
         print(problem)
-    if refused or problems:
-        sys.exit(f"{elf.path}: {len(refused)} panics or traps are reachable, and {len(problems)} other problems")
-    kernels = [start for start, name in elf.names.items() if name.startswith((ENTRY, DETECTOR, NETWORKS, *DRIVE))]
-    for entry in (ENTRY, DETECTOR, *DRIVE):
-        if not any(elf.names[start].startswith(entry) for start in kernels):
-            sys.exit(f"{elf.path}: {entry} is not in the image")
-    for start in kernels:
-        if any(image.panics(function) for function in image.reach(start)):
-            sys.exit(f"{elf.path}: a panic is reachable from {elf.names[start]}")
+    counts = f"{len(refused)} panics or traps are reachable, and {len(problems)} other problems"
+    require(elf, not refused and not problems, counts)
+    kernels = {}
+    for entry in (ENTRY, DETECTOR, NETWORKS, *DRIVE):
+        found = {start: name for start, name in elf.names.items() if name.startswith(entry)}
+        require(elf, found or entry == NETWORKS, f"{entry} is not in the image")
+        kernels |= found
+    for start, name in kernels.items():
+        is_free = not any(image.panics(function) for function in image.reach(start))
+        require(elf, is_free, f"a panic is reachable from {name}")
     print(
         f"{len(places)} entries reach {len(reached)} functions, {image.indirect} calls through pointers and {len(panics)} "
         f"branches to a panic, all of which {len(rules)} rules exclude; none from the models and the motor's interrupts"
@@ -150,50 +149,45 @@ def check_stack(image, handlers, tasks, reset, kernels, profile):
     levels_of = {handler.address: handler.name for handler in handlers}
     levels_of |= dict.fromkeys(image.matching([entries.THREAD_EXECUTOR]), entries.THREAD)
     stack = image.stacks(lambda start: exited | executors.get(levels_of.get(start), image.polls))
-    if image.problems:
-        sys.exit(f"{elf.path}: " + "; ".join(sorted(set(image.problems))))
+    require(elf, not image.problems, "; ".join(image.problems))
     levels = {}
     for handler in handlers:
-        if handler.priority > entries.FIXED[entries.HARD_FAULT]:
+        if handler.priority >= 0:
             levels.setdefault(handler.priority, []).append((stack[handler.address], handler.name))
     total = stack[reset]
     print(f"stack: {total} bytes in thread mode", end="")
     for priority, found in sorted(levels.items(), reverse=True):
-        bytes_, name = max(found)
-        print(f", {bytes_} at priority {priority} ({name})", end="")
-        total += bytes_ + EXCEPTION_FRAME
+        deepest, name = max(found)
+        print(f", {deepest} at priority {priority} ({name})", end="")
+        total += deepest + EXCEPTION_FRAME
     fatal = {handler.name: stack[handler.address] for handler in handlers if handler.priority < 0}
     total += fatal["NonMaskableInt"] + EXCEPTION_FRAME
     print(f", {fatal['NonMaskableInt']} non-maskable; with the frames of the exceptions {total} of {len(STACK)} bytes")
     if profile:
         used = json.loads(Path(profile).read_text())["profile"]["stack"]["used"]
         print(f"{used} bytes of stack measured")
-        if used > total:
-            sys.exit(f"{elf.path}: the measured stack is above the bound")
-    if total > len(STACK):
-        sys.exit(f"{elf.path}: the stack is too short")
-    if fatal["HardFault"] > entries.handler_stack():
-        sys.exit(f"{elf.path}: the fault handler takes {fatal['HardFault']} bytes of stack")
-    for start in kernels:
-        if stack[start] > STACK_LIMIT:
-            sys.exit(f"{elf.path}: {stack[start]} bytes of stack from {elf.names[start]} down, more than {STACK_LIMIT}")
+        require(elf, used <= total, "the measured stack is above the bound")
+    require(elf, total <= len(STACK), "the stack is too short")
+    in_fault = fatal["HardFault"]
+    require(elf, in_fault <= entries.handler_stack(), f"the fault handler takes {in_fault} bytes of stack")
+    for start, name in kernels.items():
+        is_short = stack[start] <= STACK_LIMIT
+        require(elf, is_short, f"{stack[start]} bytes of stack from {name} down, more than {STACK_LIMIT}")
 
 
 def main(path_, profile=None):
     elf, rules = Elf(path_), tomllib.loads(RULES.read_text())
-    check_vectors(elf)
-    check_crash(elf)
+    check_start(elf)
     image = Image(elf, rules["calls"])
     places, handlers, tasks = check_entries(image)
     kernels = check_panics(image, places, rules["panics"])
     check_stack(image, handlers, tasks, places["Reset"], kernels, profile)
-    if elf.sections[".ccm"].address not in CCM or any(elf.addresses[name] not in CCM for name in DRIVE):
-        sys.exit(f"{elf.path}: the kernels or the motor's interrupts are not in the memory next to the core")
+    is_near = elf.sections[".ccm"].address in CCM and all(elf.addresses[name] in CCM for name in DRIVE)
+    require(elf, is_near, "the kernels or the motor's interrupts are not in the memory next to the core")
     check_kernels(elf, image.graph)
     sections = elf.sections.values()
     flash = sum(len(section.contents) for section in sections if section.load in FLASH)
-    ram = sum(section.size for section in sections if section.address in RAM)
-    ccm = sum(section.size for section in sections if section.address in CCM)
+    ram, ccm = (sum(section.size for section in sections if section.address in memory) for memory in (RAM, CCM))
     print(
         f"flash {flash} of {len(FLASH)} bytes, RAM {ram} of {len(RAM)} bytes and {len(STACK)} of stack, "
         f"{ccm} of {len(CCM)} bytes next to the core"

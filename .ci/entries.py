@@ -4,7 +4,7 @@ Tasks, the executor of each, and the priorities of interrupts are read from the 
 """
 
 import re
-from dataclasses import dataclass
+from collections import namedtuple
 from pathlib import Path
 
 from elf import without_types
@@ -12,21 +12,14 @@ from elf import without_types
 BOARD = Path(__file__).parent.parent / "firmware/src/board/nucleo_g474"
 # Task that `main` becomes.
 MAIN = "main"
-# Words of the vector table.
-RESET, NON_MASKABLE, HARD_FAULT = 1, 2, 3
-# Priorities of the exceptions without a settable one.
-FIXED = {RESET: -3, NON_MASKABLE: -2, HARD_FAULT: -1}
+# Words of the vector table, and the priorities of those without a settable one: reset, non-maskable, hard fault.
+RESET, FIXED = 1, {1: -3, 2: -2, 3: -1}
 # `sync::lower_all_interrupts`.
 DEFAULT_PRIORITY = 1
 THREAD = "thread mode"
 THREAD_EXECUTOR = r"^embassy-executor/src/platform/cortex_m\.rs::run$"
 
-
-@dataclass(frozen=True)
-class Handler:
-    address: int
-    name: str
-    priority: int
+Handler = namedtuple("Handler", "address, name, priority")
 
 
 def vectors(elf):
@@ -56,8 +49,7 @@ def priorities():
         text = file.read_text()
         constants = dict(re.findall(r"const (\w+): Priority = Priority::P(\d+);", text))
         for interrupt, value in re.findall(r"interrupt::(\w+)\.set_priority\(([\w:]+)\)", text):
-            number = constants.get(value, value.removeprefix("Priority::P"))
-            found[interrupt] = int(number)
+            found[interrupt] = int(constants.get(value, value.removeprefix("Priority::P")))
     return found
 
 
@@ -71,12 +63,11 @@ def spawned():
     text = (BOARD / "tasks.rs").read_text()
     declared = set(re.findall(r"#\[embassy_executor::task\]\s*(?:pub )?async fn (\w+)", text))
     interrupts = dict(re.findall(r"let (\w+) = \w+\.start\(interrupt::(\w+)\);", text))
-    found = {MAIN: THREAD}
-    for spawner, task in re.findall(r"\b(\w+)\.spawn\(once\((\w+)\(", text):
-        found[task] = interrupts.get(spawner, THREAD)
-    if declared != found.keys() - {MAIN}:
-        raise ValueError(f"tasks declared and spawned differ: {sorted(declared ^ (found.keys() - {MAIN}))}")
-    return found
+    spawns = re.findall(r"\b(\w+)\.spawn\(once\((\w+)\(", text)
+    found = {task: interrupts.get(spawner, THREAD) for spawner, task in spawns}
+    if declared != found.keys():
+        raise ValueError(f"tasks declared and spawned differ: {sorted(declared ^ found.keys())}")
+    return found | {MAIN: THREAD}
 
 
 def tasks(elf, graph, polls):
@@ -92,5 +83,5 @@ def tasks(elf, graph, polls):
         if len(names) != 1:
             raise ValueError(f"the poll function at {start:#x} belongs to the tasks {sorted(names)}")
         name = names.pop()
-        tasks_of.setdefault(MAIN if name == "__embassy_main" else name, []).append(start)
+        tasks_of[MAIN if name == "__embassy_main" else name] = start
     return tasks_of
