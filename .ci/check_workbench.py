@@ -13,7 +13,8 @@ import sys
 import tempfile
 from pathlib import Path
 
-from browser import Page, chromium
+from browser import SHOWN_MS, Page, chromium
+from playwright.sync_api import expect
 
 DATA = Path("tests/data").resolve()
 # Screen and colours of each run.
@@ -25,8 +26,11 @@ FOREIGN_SCRIPT = """() => {
     document.body.append(script);
     return window.foreign;
 }"""
-# What a model is shown by.
-SHOWN = "document.querySelector('#present').innerHTML + document.querySelector('#headline').innerText"
+# Whether a model with these effects is shown.
+IS_SHOWN = """expected => {
+    const effects = [...document.querySelectorAll('#present li[data-effect]')].map(one => one.dataset.effect);
+    return document.querySelector('#view').ariaBusy === 'false' && effects.join() === expected;
+}"""
 
 
 @contextlib.contextmanager
@@ -46,32 +50,15 @@ def server(magpie, campaign, *options):
 class Tab(Page):
     def __init__(self, browser, url, screen="laptop"):
         super().__init__(browser, url, "/".join(url.split("/")[:3]), screen, RUNS[screen])
-        self.shown()
+        self.wait_for_model()
 
-    def shown(self):
-        self.page.wait_for_selector("#view[aria-busy=false]")
+    def wait_for_model(self, *effects):
+        self.page.wait_for_function(IS_SHOWN, arg=",".join(effects))
 
     def wait_for_text(self, selector, text):
-        self.page.wait_for_function(
-            "([selector, text]) => document.querySelector(selector).innerText.includes(text)", arg=[selector, text]
-        )
-
-    def act(self, action):
-        """Does what fits a model, and waits until it is shown."""
-        before = self.page.evaluate(SHOWN)
-        action()
-        busy = "document.querySelector('#view').ariaBusy"
-        self.page.wait_for_function(f"before => {busy} === 'false' && {SHOWN} !== before", arg=before)
-
-    def click(self, selector):
-        self.act(lambda: self.page.click(selector))
-
-    def press(self, selector, key):
-        self.act(lambda: self.page.locator(selector).press(key))
-
-    def check_present(self, expected, when):
-        found = self.page.locator("#present li[data-effect]").evaluate_all("all => all.map(one => one.dataset.effect)")
-        self.check(found == expected, f"{when}: {found} in the model")
+        # In each frame: some texts are shown for a moment.
+        has_text = "([selector, text]) => document.querySelector(selector).innerText.includes(text)"
+        self.page.wait_for_function(has_text, arg=[selector, text])
 
 
 def effects(browser, magpie, pictures, screen):
@@ -85,21 +72,24 @@ def effects(browser, magpie, pictures, screen):
         # The prediction under the pointer or with the keyboard, then the effect itself.
         page.focus("#candidates li[data-effect=magnet_temperature] button")
         tab.check(page.inner_text("#predicted").endswith(" N"), "no prediction for the effect in focus")
-        tab.act(lambda: page.keyboard.press("Enter"))
-        tab.click("#candidates li[data-effect=hysteresis] button")
-        tab.check_present(both, "after adding")
+        page.keyboard.press("Enter")
+        tab.wait_for_model("magnet_temperature")
+        page.click("#candidates li[data-effect=hysteresis] button")
+        tab.wait_for_model(*both)
         tab.check("B: base" in page.inner_text("#view"), "the base is not shown next to it")
         tab.check(page.locator("#plots svg path.curve").count() > 4, "no curves over time")
         tab.check_width()
         page.screenshot(path=pictures / f"{screen}.png")
         headline = page.inner_text("#headline")
-        tab.click("#undo")
-        tab.check_present(both[:1], "after undo")
-        tab.press("body", "Control+z")
-        tab.check_present([], "after undo with the keyboard")
+        page.click("#undo")
+        tab.wait_for_model("magnet_temperature")
+        page.keyboard.press("Control+z")
+        tab.wait_for_model()
         tab.check(page.is_disabled("#undo"), "undo goes on before the first model")
-        tab.click("#redo")
-        tab.press("body", "Control+Shift+z")
+        page.click("#redo")
+        tab.wait_for_model("magnet_temperature")
+        page.keyboard.press("Control+Shift+z")
+        tab.wait_for_model(*both)
         tab.check(page.inner_text("#headline") == headline, "redo shows another model")
         # Any two models side by side.
         page.select_option("#baseline", label="magnet_temperature")
@@ -108,15 +98,12 @@ def effects(browser, magpie, pictures, screen):
 
         # A page that is loaded again shows the same model, with its history; a second tab has models of its own.
         page.reload()
-        tab.shown()
-        page.wait_for_selector("#present li[data-effect=hysteresis]")
-        tab.check_present(both, "after loading again")
+        tab.wait_for_model(*both)
         tab.check(page.is_enabled("#undo"), "no undo after loading again")
-        tab.shown()
         other = Tab(browser, url)
-        other.check_present([], "in a second tab")
-        other.click("#candidates li[data-effect=hysteresis] button")
-        tab.check_present(both, "after a change in the second tab")
+        other.page.click("#candidates li[data-effect=hysteresis] button")
+        other.wait_for_model("hysteresis")
+        tab.wait_for_model(*both)
 
         # The recordings are gone, and come back.
         (folder / "campaign").rename(folder / "away")
@@ -124,10 +111,10 @@ def effects(browser, magpie, pictures, screen):
         page.click("summary:has-text('Not significant')")
         page.click("#others li:first-child button")
         tab.wait_for_text("#error", "campaign")
-        tab.check_present(both, "after an error")
+        tab.wait_for_model(*both)
         (folder / "away").rename(folder / "campaign")
-        tab.click("#present li[data-effect=hysteresis] button")
-        tab.check_present(both[:1], "after removal")
+        page.click("#present li[data-effect=hysteresis] button")
+        tab.wait_for_model("magnet_temperature")
     return tab.wrong + other.wrong
 
 
@@ -149,7 +136,7 @@ def explores(tab):
     tab.expected_errors = 1
     page.click("#plan")
     page.click("#cancel")
-    page.wait_for_function("() => document.querySelector('#diagnosis-result').innerText === 'cancelled'")
+    tab.wait_for_text("#diagnosis-result", "cancelled")
     tab.check(page.is_hidden("#cancel"), "what was cancelled goes on")
     tab.expected_errors = 1
     tab.check(page.evaluate(FOREIGN_SCRIPT) is None, "a script without the number of the page runs")
@@ -180,7 +167,7 @@ def formula(browser, magpie, pictures, screen):
         page.press("#formula", "Enter")
         tab.wait_for_text("#error", "did you mean motor_angle_rad")
         tab.check("^" in page.inner_text("#error"), "the error does not show its place")
-        tab.check_present([], "after a wrong formula")
+        tab.wait_for_model()
         # Names are completed while typing, and inserted by a click.
         page.fill("#formula", "")
         page.type("#formula", "own: dz_um = a*motor_ang")
@@ -190,8 +177,8 @@ def formula(browser, magpie, pictures, screen):
         page.click("#names button:text-is('motor_angle_rad')")
         tab.check(page.input_value("#formula").endswith("a*motor_angle_rad"), f"inserted: {page.input_value('#formula')}")
         page.fill("#formula", RIPPLE)
-        tab.press("#formula", "Enter")
-        tab.check_present(["own"], "after a formula")
+        page.press("#formula", "Enter")
+        tab.wait_for_model("own")
         tab.check_width()
         page.screenshot(path=pictures / f"formula-{screen}.png")
     return tab.wrong
@@ -202,7 +189,7 @@ def live(browser, magpie, pictures, screen):
         tab = Tab(browser, url, screen)
         page = tab.page
         # Repeated grasps: the forces change.
-        page.wait_for_function("() => document.querySelectorAll('#live-sensors tr').length === 4")
+        expect(page.locator("#live-sensors tr")).to_have_count(4, timeout=SHOWN_MS)
         force = "document.querySelector('#live-sensors td:nth-child(2)').innerText"
         page.wait_for_function(f"() => Math.abs(parseFloat({force})) > 5")
         tab.wait_for_text("#live-state", "1000 ticks per second")
@@ -228,8 +215,10 @@ def live(browser, magpie, pictures, screen):
         recordings = page.locator("#view #recording option")
         tab.check(recordings.count() == 3, "not three recordings")
         (folder / "campaign/3").rename(folder / "3")
-        tab.click("#reload")
-        tab.check(recordings.count() == 2, "a removed recording is still shown")
+        page.click("#reload")
+        expect(recordings).to_have_count(2, timeout=SHOWN_MS)
+        # Time in which the page would ask about the recording that is gone.
+        page.wait_for_timeout(1000)
     return tab.wrong
 
 

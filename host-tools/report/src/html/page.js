@@ -290,7 +290,8 @@
 
     let before = plots.clientWidth;
     new ResizeObserver(() => {
-      if (plots.clientWidth !== before) (before = plots.clientWidth), show(from, to);
+      // Plots that those of another model have replaced lose their width, too.
+      if (plots.isConnected && plots.clientWidth !== before) (before = plots.clientWidth), show(from, to);
     }).observe(plots);
   }
 }
