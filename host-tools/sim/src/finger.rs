@@ -1,9 +1,9 @@
 //! One sensor's finger: manufactured dimensions, and the magnet's pose under load.
 
 use crate::effects::Effects;
+use crate::effects::uncatalogued::SCREW_RIPPLE;
 use crate::flexure::{Flexure, FlexureParameters, REFERENCE_MM};
 use crate::random::{Purpose, normal, normal_vector, stream};
-use crate::uncatalogued::SCREW_RIPPLE;
 use model_export::effects::catalogue::{
     CREEP, CROSS_COUPLING, FINGERTIP_MASS, GEOMETRIC_STIFFENING, HARD_STOP, SOFTENING, THERMAL_GAP,
     TIP_SLOPE, VISCOUS_LAG,

@@ -8,7 +8,7 @@ use anyhow::{Context, Result, anyhow};
 use device::emulation::calibration::{ForceErrors, evaluate as evaluate_board, identify};
 use emulator::Image;
 use rayon::iter::{IntoParallelRefIterator, ParallelIterator};
-use sim::closed_loop::bench::BenchSetup;
+use sim::closed_loop::bench_programme::BenchSetup;
 use sim::closed_loop::emulated_board::ChipConditions;
 use sim::effects::Effect;
 use sim::mountings::Mountings;

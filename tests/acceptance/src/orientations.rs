@@ -13,7 +13,7 @@ use model_export::model_file::BaseKind;
 use model_export::physics::{SensorMounting, SensorOrientation};
 use model_export::recordings::align::Alignment;
 use rayon::prelude::*;
-use sim::closed_loop::bench::BenchSetup;
+use sim::closed_loop::bench_programme::BenchSetup;
 use sim::closed_loop::emulated_board::ChipConditions;
 use sim::mountings::Mountings;
 use tests::image::compile;

@@ -1,7 +1,7 @@
 //! Worlds of a simulated board: what its sensors measure each millisecond, and the motor's interface.
 
 use crate::drivetrain::fingertips::SensorForces;
-use crate::drivetrain::sensors::{ROOM_C, imu_registers, thermistor_counts};
+use crate::drivetrain::sensors::{InertialRegisters, ROOM_C, imu_registers, thermistor_counts};
 use crate::hall_sensor::NOISE_G;
 use device_run::channel_map::field_counts;
 use device_run::{RecordedRows, ReplayModels};
@@ -28,9 +28,6 @@ pub struct WorldSample {
     /// Output registers of the inertial sensor: rate, then acceleration; none where the gripper lacks it.
     pub inertial: Option<InertialRegisters>,
 }
-
-/// Output registers of an LSM6DS3TR-C: rate and acceleration, x to z, little-endian.
-pub type InertialRegisters = [u8; 12];
 
 /// A sequence of samples.
 pub trait World {

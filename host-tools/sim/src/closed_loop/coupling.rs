@@ -2,7 +2,7 @@
 //! are injected into the sensed quantities and never reported to the firmware.
 
 use crate::board::world::{SimulatedMotor, World, WorldSample};
-use crate::closed_loop::bench::BenchProgramme;
+use crate::closed_loop::bench_programme::BenchProgramme;
 use crate::closed_loop::motor_rig::MotorRig;
 use crate::drivetrain::PERIOD_S;
 use crate::drivetrain::fingertips::{

@@ -5,9 +5,10 @@
 //! - [`requirements`]: specified figures of drive and grasp next to the simulated ones.
 //! - [`coupling`]: the simulated gripper at the connections of a board.
 //! - [`emulated_board`]: the image in an emulated chip.
-//! - [`mod@bench`]: a gripper with hidden effects on a test bench, for recordings over the serial line.
+//! - [`mod@bench`], [`bench_programme`]: a gripper with hidden effects on a test bench, for recordings over the serial line.
 
 pub mod bench;
+pub mod bench_programme;
 pub mod coupling;
 pub mod drive_result;
 pub mod emulated_board;

@@ -1,6 +1,5 @@
 //! Sensors of motor and gripper with their errors: currents, bus voltage, rotor angle, acceleration and rate.
 
-use crate::board::world::InertialRegisters;
 use crate::random::{Purpose, normal, stream, uniform};
 use firmware::config::constants;
 use rand::RngExt;
@@ -134,6 +133,9 @@ pub fn chip_counts(celsius: f64) -> u16 {
     let [cold, hot] = emulator::TEMPERATURE_CALIBRATION.map(f64::from);
     counts((cold + (hot - cold) * (celsius - 30.0) / 100.0) * 3.0 / 3.3)
 }
+
+/// Output registers of an LSM6DS3TR-C: rate and acceleration, x to z, little-endian.
+pub type InertialRegisters = [u8; 12];
 
 /// Scales of a count at +-4 g, in m/s^2, and at +-2000 degrees per second.
 const ACCELERATION_PER_COUNT: f64 = 0.122e-3 * 9.806_65;

@@ -1,11 +1,11 @@
 //! Equations of the effects outside the catalogue, and the values that a seed draws for each sensor.
 
-use super::{
-    BODY_BENDING, BRACKET_LAG, BRACKET_SOFTENING, CABLE_PULL, CLEARANCE, CROSS_TERM, Conditions,
-    Contribution, GUIDE_RIPPLE, OVERHANG, RATE_GAIN, STRESSED_PIN, UNLOGGED, WARM_LEAKAGE,
-    WIPER_DRAG, WRIST_POLES,
-};
+use super::{Conditions, Contribution};
 use crate::effects::EffectKind;
+use crate::effects::uncatalogued::{
+    BODY_BENDING, BRACKET_LAG, BRACKET_SOFTENING, CABLE_PULL, CLEARANCE, CROSS_TERM, GUIDE_RIPPLE,
+    OVERHANG, RATE_GAIN, STRESSED_PIN, UNLOGGED, WARM_LEAKAGE, WIPER_DRAG, WRIST_POLES,
+};
 use crate::motion::GRAVITY;
 use crate::random::{Purpose, SineSum, sign, stream, uniform, unit_vector};
 use nalgebra::Vector3;

@@ -1,6 +1,7 @@
 //! Each effect outside the catalogue acts at one point of the chain, on its own covariates, and vanishes without them.
 
 use super::*;
+use crate::effects::uncatalogued::*;
 use crate::effects::{EffectKind, Effects};
 use std::f64::consts::TAU;
 

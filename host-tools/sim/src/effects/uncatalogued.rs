@@ -3,7 +3,7 @@
 //! All magnitudes are assumed. The typical ones raise the error of the base model to between two and six noise floors in a
 //! campaign of 3 x 30 s.
 
-use crate::effects::{EffectKind, VARIATION};
+use super::kind::{EffectKind, VARIATION};
 use model_export::effects::SimulatedMagnitude;
 
 /// Relative variation between sensors of an effect that depends on how its part is mounted.

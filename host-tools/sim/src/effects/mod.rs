@@ -1,17 +1,20 @@
 //! Simulated effects: units and valid magnitudes, selection, variation between sensors.
 
 use crate::random::{Purpose, stream, uniform};
-use crate::uncatalogued;
 use anyhow::{Context, Result, bail};
 use model_export::effects::catalogue::{HYSTERESIS, NEIGHBOUR_MAGNET, SCREW_BACKLASH};
-use model_export::effects::{CATALOGUE, SimulatedMagnitude, Simulation, find};
+use model_export::effects::{CATALOGUE, Simulation, find};
 use model_export::recordings::error::closest_match;
 use serde::{Deserialize, Serialize};
 use std::str::FromStr;
 use std::sync::LazyLock;
 
-/// Relative variation between sensors of effects that are not a material property.
-pub const VARIATION: f64 = 0.1;
+mod kind;
+pub mod uncatalogued;
+
+pub use kind::EffectKind;
+use kind::VARIATION;
+
 /// Limit of the variation: no sensor loses an effect, and none has it with the opposite sign.
 const MAX_VARIATION: f64 = 0.8;
 
@@ -239,27 +242,6 @@ fn each(seed: u64, number: u32, sensors: u32, variation: f64) -> Vec<f64> {
         (0..sensors).map(|_| uniform(&mut rng, 1.0 - variation, 1.0 + variation)).collect();
     let mean = raw.iter().sum::<f64>() / raw.len() as f64;
     raw.iter().map(|factor| factor / mean).collect()
-}
-
-/// A kind of effect, with unit and range of its magnitude.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct EffectKind {
-    /// Identifier on the command line and in the truth file.
-    pub id: &'static str,
-    /// Magnitude where none is given.
-    pub typical: f64,
-    /// Unit of the magnitude.
-    pub unit: &'static str,
-    /// Range and definition of the magnitude.
-    pub magnitude: SimulatedMagnitude,
-    /// Relative variation between sensors; unused where the magnitude is shared.
-    pub variation: f64,
-    /// May be drawn at random; effects outside the catalogue are simulated by name only.
-    pub is_in_catalogue: bool,
-    /// Equation, gripper axes.
-    pub equation: &'static str,
-    /// Recorded columns on which an effect outside the catalogue depends; for the others, see the catalogue.
-    pub covariates: &'static [&'static str],
 }
 
 /// All simulated effects in the order of their random streams: those of the catalogue, and those outside of it.
