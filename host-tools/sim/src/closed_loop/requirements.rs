@@ -1,7 +1,7 @@
 //! Specified figures of drive and grasp, and their simulated values over scattered grippers.
 
 use crate::closed_loop::frequency_response::{bandwidth_hz, frequency_response, step_response};
-use crate::closed_loop::grasp_result::{GraspTarget, GraspTrace, run_current_limited, run_grasp};
+use crate::closed_loop::grasp_result::{GraspTarget, run_current_limited, run_grasp};
 use crate::closed_loop::grasp_rig::{GraspRig, NOISE_N, contact_object, grip_command};
 use crate::closed_loop::landing::{FootContact, Landing, LandingResult};
 use crate::closed_loop::motor_rig::{
@@ -219,19 +219,13 @@ pub fn grasp_statistics(
     seeds: std::ops::Range<u64>,
     done: impl Fn() + Sync,
 ) -> GraspStatistics {
-    let one = |seed: u64| -> GraspTrace {
-        let parameters = PlantParameters::scattered(lead, SCATTER, seed);
-        let target = GraspTarget { from_mm: FROM_MM, ..GraspTarget::new(RIGID, set_n, HOLD_S) };
-        let mut trace = run_grasp(lead, parameters, target, seed);
-        done();
-        // Only its figures are used.
-        trace.points.shrink_to_fit();
-        trace
-    };
+    let target = GraspTarget { from_mm: FROM_MM, ..GraspTarget::new(RIGID, set_n, HOLD_S) };
     let traces: Vec<[f64; 4]> = seeds
         .into_par_iter()
         .map(|seed| {
-            let trace = one(seed);
+            let parameters = PlantParameters::scattered(lead, SCATTER, seed);
+            let trace = run_grasp(lead, parameters, target, seed);
+            done();
             let rise_ms = 1e3 * trace.rise_s().unwrap_or(f64::INFINITY);
             let held = f64::from(u8::from(trace.hold_s().is_some()));
             [trace.peak_n() - set_n, rise_ms, trace.error_n(), held]

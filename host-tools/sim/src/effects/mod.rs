@@ -181,16 +181,10 @@ impl Effects {
                 bail!("{} is given twice", kind.id);
             }
             let variation = if kind.magnitude.shared { 0.0 } else { kind.variation * scatter };
+            let variation = variation.min(MAX_VARIATION);
+            let shares = each(seed, kind.magnitude.random_stream, sensors, variation);
             chosen.push(AssignedEffect {
-                each: each(
-                    seed,
-                    kind.magnitude.random_stream,
-                    sensors,
-                    variation.min(MAX_VARIATION),
-                )
-                .iter()
-                .map(|share| share * effect.size)
-                .collect(),
+                each: shares.iter().map(|share| share * effect.size).collect(),
                 effect: effect.clone(),
                 needed_by: needed_by.filter(|_| kind.id == NEIGHBOUR_MAGNET.id),
             });

@@ -35,6 +35,10 @@ const BUSY: Covariates = Covariates {
     ..REST
 };
 
+const ZERO_CURRENT: Covariates = Covariates { current_a: 0.0, ..BUSY };
+const ZERO_LATERAL: Covariates = Covariates { load_n: [0.0, -70.0], ..BUSY };
+const WEIGHTLESS: Covariates = Covariates { specific_force: REST.specific_force, ..BUSY };
+
 /// Shortly before it.
 const EARLIER: Covariates = Covariates { opening_mm: 37.2, warm_k: 7.9, ..BUSY };
 
@@ -141,15 +145,15 @@ fn effect_acts_at_one_point_of_the_chain() {
 #[test]
 fn products_vanish_with_either_factor() {
     let cases: [(EffectKind, [Covariates; 2]); 6] = [
-        (CROSS_TERM, [zero_current(), Covariates { opening_mm: 15.0, ..BUSY }]),
-        (STRESSED_PIN, [zero_lateral(), Covariates { opening_mm: 15.0, ..BUSY }]),
-        (WARM_LEAKAGE, [zero_current(), Covariates { warm_k: 0.0, ..BUSY }]),
+        (CROSS_TERM, [ZERO_CURRENT, Covariates { opening_mm: 15.0, ..BUSY }]),
+        (STRESSED_PIN, [ZERO_LATERAL, Covariates { opening_mm: 15.0, ..BUSY }]),
+        (WARM_LEAKAGE, [ZERO_CURRENT, Covariates { warm_k: 0.0, ..BUSY }]),
         (
             OVERHANG,
             [Covariates { load_n: [120.0, 0.0], ..BUSY }, Covariates { opening_mm: 25.0, ..BUSY }],
         ),
-        (CABLE_PULL, [weightless(), Covariates { opening_mm: 0.0, ..BUSY }]),
-        (BRACKET_SOFTENING, [weightless(), Covariates { warm_k: 0.0, ..BUSY }]),
+        (CABLE_PULL, [WEIGHTLESS, Covariates { opening_mm: 0.0, ..BUSY }]),
+        (BRACKET_SOFTENING, [WEIGHTLESS, Covariates { warm_k: 0.0, ..BUSY }]),
     ];
     for (kind, without) in cases {
         let effects = drawn(kind.id, 3, 2);
@@ -158,18 +162,6 @@ fn products_vanish_with_either_factor() {
             assert!(points(&after(&effects, BUSY, now)).is_empty(), "{} {now:?}", kind.id);
         }
     }
-}
-
-fn zero_current() -> Covariates {
-    Covariates { current_a: 0.0, ..BUSY }
-}
-
-fn zero_lateral() -> Covariates {
-    Covariates { load_n: [0.0, -70.0], ..BUSY }
-}
-
-fn weightless() -> Covariates {
-    Covariates { specific_force: Vector3::zeros(), ..BUSY }
 }
 
 #[test]
