@@ -28,7 +28,8 @@ use crate::sensors::hall::SENSORS;
 pub const MAGIC: [u8; 4] = *b"MGPC";
 /// Version of the encoding, and scale and range of the sensors for which the tables are; a device refuses others.
 pub const FORMAT: u32 = format(constants::SENSOR_SCALE.value, constants::SENSOR_RANGE.value);
-/// Version of the encoding.
+/// Version of the encoding. Raised where the fields or the number of an existing table change, together with the literal
+/// of `tests/fuzz/src/upload.rs`; a new table with a new number leaves it.
 const VERSION: u32 = 3;
 
 /// Format of a calibration for sensors of this scale and range: version in bits 28 to 31, gauss of the range in bits 16 to 27,

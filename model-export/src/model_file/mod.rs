@@ -37,7 +37,9 @@ pub use sensor::{
     FittedValue, HeldOutError, PolynomialTable, SensorModel, UnidentifiableCombination,
 };
 
-/// Format version.
+/// Format version. Raised where a key is removed, or changes its meaning or unit: earlier files are then refused, and users
+/// repeat the fit. Neither an effect nor an optional key with a default raises it. The format of a calibration on the board
+/// has a number of its own, `VERSION` in `firmware/src/model/calibration.rs`.
 pub const FORMAT: i64 = 1;
 
 /// First line of every model file.

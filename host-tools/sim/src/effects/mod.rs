@@ -324,13 +324,15 @@ mod tests {
 
     #[test]
     fn typical_magnitudes_are_valid_and_streams_are_unique() {
+        let streams = EFFECT_KINDS.iter().map(|kind| kind.magnitude.random_stream);
+        let next = streams.max().map_or(0, |last| last + 1);
         for (i, kind) in EFFECT_KINDS.iter().enumerate() {
             let (min, max) = kind.magnitude.range;
             assert!((min..=max).contains(&kind.typical), "{}", kind.id);
             let stream = kind.magnitude.random_stream;
             let same =
                 EFFECT_KINDS[..i].iter().any(|other| other.magnitude.random_stream == stream);
-            assert!(!same, "random_stream {stream} of {} is in use", kind.id);
+            assert!(!same, "random_stream {stream} of {} is in use; {next} is free", kind.id);
         }
     }
 

@@ -3,7 +3,7 @@
 use crate::effects::operators::{delayed, operator_increment};
 use crate::effects::{
     DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec, Signature,
-    SimulatedMagnitude, Simulation, StateSeries,
+    SimulatedMagnitude, Simulation, StateSeries, TimeDependence,
 };
 
 pub const EFFECT: Effect = Effect {
@@ -45,6 +45,8 @@ pub const EFFECT: Effect = Effect {
         remedy: "set --delay-ms or correct the clocks",
     },
     is_transient: false,
+    has_memory: true,
+    time: TimeDependence::Rows,
     reads: &[],
     apply,
 };

@@ -3,7 +3,7 @@
 use crate::effects::operators::low_pass_with_rates;
 use crate::effects::{
     CreepParts, DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, ForceForm,
-    MagnitudeSpec, Signature, SimulatedMagnitude, Simulation, StateSeries,
+    MagnitudeSpec, Signature, SimulatedMagnitude, Simulation, StateSeries, TimeDependence,
 };
 
 pub const EFFECT: Effect = Effect {
@@ -55,6 +55,8 @@ pub const EFFECT: Effect = Effect {
     }),
     device: DeviceForm::Force(ForceForm::Creep(parts_of)),
     is_transient: false,
+    has_memory: true,
+    time: TimeDependence::Rows,
     reads: &[],
     apply,
 };

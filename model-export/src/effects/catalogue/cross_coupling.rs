@@ -2,7 +2,7 @@
 
 use crate::effects::{
     DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec,
-    SimulatedMagnitude, Simulation, StateSeries,
+    SimulatedMagnitude, Simulation, StateSeries, TimeDependence,
 };
 
 pub const EFFECT: Effect = Effect {
@@ -40,6 +40,8 @@ pub const EFFECT: Effect = Effect {
     }),
     device: DeviceForm::Tables,
     is_transient: false,
+    has_memory: false,
+    time: TimeDependence::None,
     reads: EffectStage::FORCES,
     apply,
 };

@@ -4,7 +4,7 @@ use nalgebra::{Rotation3, Vector3};
 
 use crate::effects::{
     Aggregation, DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, FieldForm,
-    MagnitudeSpec, Signature, SimulatedMagnitude, Simulation, StateSeries,
+    MagnitudeSpec, Signature, SimulatedMagnitude, Simulation, StateSeries, TimeDependence,
 };
 
 pub const EFFECT: Effect = Effect {
@@ -50,6 +50,8 @@ pub const EFFECT: Effect = Effect {
     }),
     device: DeviceForm::Field(FieldForm::EarthField),
     is_transient: false,
+    has_memory: false,
+    time: TimeDependence::None,
     reads: &[],
     apply,
 };

@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 
 use crate::effects::{
     Aggregation, DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec,
-    Signature, SimulatedMagnitude, Simulation, StateSeries,
+    Signature, SimulatedMagnitude, Simulation, StateSeries, TimeDependence,
 };
 
 /// Prior magnitude of the passage coefficients; the fit allows ten times this. Without it, a step between two
@@ -65,6 +65,8 @@ pub const EFFECT: Effect = Effect {
     }),
     device: DeviceForm::Never("a single event; the device can only detect it"),
     is_transient: true,
+    has_memory: false,
+    time: TimeDependence::Rows,
     reads: &[],
     apply,
 };

@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 
 use crate::effects::{
     Aggregation, DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec,
-    Signature, SimulatedMagnitude, Simulation, StateSeries,
+    Signature, SimulatedMagnitude, Simulation, StateSeries, TimeDependence,
 };
 
 pub const EFFECT: Effect = Effect {
@@ -58,6 +58,8 @@ pub const EFFECT: Effect = Effect {
     }),
     device: DeviceForm::Settled,
     is_transient: false,
+    has_memory: false,
+    time: TimeDependence::Starts,
     reads: &[],
     apply,
 };

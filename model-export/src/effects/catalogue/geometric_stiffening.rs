@@ -2,7 +2,7 @@
 
 use crate::effects::{
     DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec,
-    SimulatedMagnitude, Simulation, StateSeries,
+    SimulatedMagnitude, Simulation, StateSeries, TimeDependence,
 };
 
 /// Reference deflection of the magnitude in mm: the travel in the paper.
@@ -47,6 +47,8 @@ pub const EFFECT: Effect = Effect {
     }),
     device: DeviceForm::Tables,
     is_transient: false,
+    has_memory: false,
+    time: TimeDependence::None,
     reads: EffectStage::DISPLACEMENTS,
     apply,
 };

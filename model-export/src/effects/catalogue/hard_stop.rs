@@ -2,7 +2,7 @@
 
 use crate::effects::{
     DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, ForceForm, MagnitudeSpec,
-    SimulatedMagnitude, Simulation, StateSeries,
+    SimulatedMagnitude, Simulation, StateSeries, TimeDependence,
 };
 
 pub const EFFECT: Effect = Effect {
@@ -56,6 +56,8 @@ pub const EFFECT: Effect = Effect {
     }),
     device: DeviceForm::Force(ForceForm::HardStop),
     is_transient: false,
+    has_memory: false,
+    time: TimeDependence::None,
     reads: EffectStage::FORCES,
     apply,
 };

@@ -3,7 +3,7 @@
 use crate::effects::operators::stop_operators;
 use crate::effects::{
     DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, ForceForm, FrictionSliders,
-    MagnitudeSpec, Signature, SimulatedMagnitude, Simulation, StateSeries,
+    MagnitudeSpec, Signature, SimulatedMagnitude, Simulation, StateSeries, TimeDependence,
 };
 
 pub const EFFECT: Effect = Effect {
@@ -66,6 +66,8 @@ pub const EFFECT: Effect = Effect {
     }),
     device: DeviceForm::Force(ForceForm::Hysteresis(sliders_of)),
     is_transient: false,
+    has_memory: true,
+    time: TimeDependence::None,
     reads: &[],
     apply,
 };

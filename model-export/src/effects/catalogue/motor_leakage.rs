@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 
 use crate::effects::{
     Aggregation, DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, FieldForm,
-    MagnitudeSpec, SimulatedMagnitude, Simulation, StateSeries,
+    MagnitudeSpec, SimulatedMagnitude, Simulation, StateSeries, TimeDependence,
 };
 use crate::recordings::columns::STATOR_CURRENTS;
 
@@ -55,6 +55,8 @@ pub const EFFECT: Effect = Effect {
     }),
     device: DeviceForm::Field(FieldForm::MotorLeakage),
     is_transient: false,
+    has_memory: false,
+    time: TimeDependence::None,
     reads: &[],
     apply,
 };

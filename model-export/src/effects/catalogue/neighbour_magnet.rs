@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 
 use crate::effects::{
     Aggregation, DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, FieldForm,
-    MagnitudeSpec, SimulatedMagnitude, Simulation, StateSeries,
+    MagnitudeSpec, SimulatedMagnitude, Simulation, StateSeries, TimeDependence,
 };
 
 /// Reference opening of the magnitude in mm.
@@ -55,6 +55,8 @@ pub const EFFECT: Effect = Effect {
     }),
     device: DeviceForm::Field(FieldForm::NeighbourMagnet(field)),
     is_transient: false,
+    has_memory: false,
+    time: TimeDependence::None,
     reads: &[EffectStage::Opening],
     apply,
 };

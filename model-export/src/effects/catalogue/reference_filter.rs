@@ -2,7 +2,7 @@
 
 use crate::effects::{
     DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec, Signature,
-    SimulatedMagnitude, Simulation, StateSeries,
+    SimulatedMagnitude, Simulation, StateSeries, TimeDependence,
 };
 
 pub const EFFECT: Effect = Effect {
@@ -42,6 +42,8 @@ pub const EFFECT: Effect = Effect {
         remedy: "correct the reference sensor",
     },
     is_transient: false,
+    has_memory: false,
+    time: TimeDependence::Rows,
     reads: &[],
     apply,
 };

@@ -3,7 +3,7 @@
 use crate::effects::operators::stop_operator;
 use crate::effects::{
     DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec,
-    SimulatedMagnitude, Simulation, StateSeries,
+    SimulatedMagnitude, Simulation, StateSeries, TimeDependence,
 };
 
 /// Minimum threshold of the operator in mm; avoids a division by zero.
@@ -47,6 +47,8 @@ pub const EFFECT: Effect = Effect {
         "the device measures the motor's angle, and the play is below its noise; home from one side",
     ),
     is_transient: false,
+    has_memory: true,
+    time: TimeDependence::None,
     reads: &[EffectStage::Opening],
     apply,
 };

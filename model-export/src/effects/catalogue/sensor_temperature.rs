@@ -5,6 +5,7 @@ use nalgebra::Vector3;
 use crate::effects::{
     Aggregation, DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, FieldForm,
     MagnitudeSpec, REFERENCE_C, Signature, SimulatedMagnitude, Simulation, StateSeries,
+    TimeDependence,
 };
 
 pub const EFFECT: Effect = Effect {
@@ -51,6 +52,8 @@ pub const EFFECT: Effect = Effect {
     }),
     device: DeviceForm::Field(FieldForm::SensorTemperature),
     is_transient: false,
+    has_memory: false,
+    time: TimeDependence::None,
     reads: &[EffectStage::Sensor],
     apply,
 };

@@ -2,7 +2,7 @@
 
 use crate::effects::{
     DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec, Signature,
-    SimulatedMagnitude, Simulation, StateSeries,
+    SimulatedMagnitude, Simulation, StateSeries, TimeDependence,
 };
 
 pub const EFFECT: Effect = Effect {
@@ -45,6 +45,8 @@ pub const EFFECT: Effect = Effect {
     }),
     device: DeviceForm::Settled,
     is_transient: true,
+    has_memory: false,
+    time: TimeDependence::Rows,
     reads: EffectStage::FORCES,
     apply,
 };

@@ -2,7 +2,7 @@
 
 use crate::effects::{
     DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, FieldForm, MagnitudeSpec,
-    REFERENCE_C, Signature, SimulatedMagnitude, Simulation, StateSeries,
+    REFERENCE_C, Signature, SimulatedMagnitude, Simulation, StateSeries, TimeDependence,
 };
 
 pub const EFFECT: Effect = Effect {
@@ -39,6 +39,8 @@ pub const EFFECT: Effect = Effect {
     }),
     device: DeviceForm::Field(FieldForm::ThermalGap),
     is_transient: false,
+    has_memory: false,
+    time: TimeDependence::None,
     reads: &[],
     apply,
 };

@@ -3,7 +3,7 @@
 use crate::effects::operators::{low_pass_with_rates, operator_increment};
 use crate::effects::{
     DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, ForceForm, MagnitudeSpec,
-    Signature, SimulatedMagnitude, Simulation, StateSeries,
+    Signature, SimulatedMagnitude, Simulation, StateSeries, TimeDependence,
 };
 
 pub const EFFECT: Effect = Effect {
@@ -45,6 +45,8 @@ pub const EFFECT: Effect = Effect {
     }),
     device: DeviceForm::Force(ForceForm::ViscousLag),
     is_transient: false,
+    has_memory: true,
+    time: TimeDependence::Rows,
     reads: &[],
     apply,
 };

@@ -6,7 +6,7 @@ mod support;
 
 pub use support::{DeviceSupport, device_support};
 
-use firmware::compensation::lookup_table::{Covariate, CovariateFilter, FILTERS, LookupTable};
+use firmware::compensation::lookup_table::{CovariateFilter, FILTERS};
 use firmware::compensation::{Compensation, FieldEffect, ForceEffect, MAX_EFFECTS, crosstalk};
 use firmware::fixed_point::{Field, Force};
 use nalgebra::{Matrix2, Matrix3, Vector3};
@@ -32,6 +32,7 @@ pub struct NotCompensable {
 #[derive(Clone, Debug, Default)]
 pub struct OwnedCompensation {
     number: u8,
+    needs_temperature: bool,
     filters: Vec<CovariateFilter>,
     field: Vec<OwnedOnField>,
     force: Vec<OwnedOnForce>,
@@ -101,6 +102,7 @@ impl OwnedCompensation {
         sorted.sort_by_key(|(effect, _)| std::cmp::Reverse(effect.stage()));
         for (effect, values) in sorted {
             let converter = Converter { effect: effect.name(), number, model, units };
+            let compensated = own.field.len() + own.force.len();
             match effect {
                 EffectTerm::Catalogue(known) => match known.device {
                     DeviceForm::Field(form) => own.field.push(converter.field(form, values)?),
@@ -122,6 +124,8 @@ impl OwnedCompensation {
                     converter.check_feedback(&feedback)?;
                 }
             }
+            own.needs_temperature |= own.field.len() + own.force.len() > compensated
+                && effect.needs().iter().any(|column| column == "temp_c");
         }
         let count = own.field.len().max(own.force.len());
         if count > MAX_EFFECTS {
@@ -133,22 +137,9 @@ impl OwnedCompensation {
         Ok((count > 0).then_some(own))
     }
 
-    /// Whether one of the effects needs the sensor's temperature.
+    /// Whether one of the compensated effects reads the sensor's temperature, as it states by its columns.
     pub fn needs_temperature(&self) -> bool {
-        let view = self.view();
-        let of_field = view.field.iter().flatten().any(|effect| match effect {
-            FieldEffect::SensorTemperature(_)
-            | FieldEffect::MagnetTemperature(_)
-            | FieldEffect::ThermalGap(_) => true,
-            FieldEffect::Map(map) => is_over_temperature(&map.table),
-            _ => false,
-        });
-        let of_force = view.force.iter().flatten().any(|effect| match effect {
-            ForceEffect::Map(map) => is_over_temperature(&map.table),
-            _ => false,
-        });
-        let mut filters = self.filters.iter();
-        of_field || of_force || filters.any(|filter| filter.covariate == Covariate::Temperature)
+        self.needs_temperature
     }
 
     /// Number of the sensor.
@@ -190,10 +181,6 @@ impl OwnedCompensation {
         }
         view
     }
-}
-
-fn is_over_temperature(table: &LookupTable) -> bool {
-    table.sides.iter().flatten().any(|side| side.covariate == Covariate::Temperature)
 }
 
 impl Converter<'_> {
