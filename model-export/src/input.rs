@@ -8,7 +8,7 @@ use std::fs::{File, FileType, Metadata};
 use std::io::{self, Read};
 use std::path::Path;
 
-use crate::recordings::error::{DataError, ErrorKind, Location};
+use crate::error::{DataError, ErrorKind, Location};
 
 const KIB: u64 = 1 << 10;
 const MIB: u64 = 1 << 20;

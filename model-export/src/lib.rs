@@ -4,6 +4,7 @@
 //! Modules in the order of the data flow:
 //!
 //! - [`recordings`]: campaigns on disk: validation, units, clock alignment, import.
+//! - [`error`]: input errors and notices, each with file, line and column.
 //! - [`input`]: regular files only, and the limits of all inputs.
 //! - [`output`]: atomic writes that never overwrite foreign files.
 //! - [`physics`]: forward model from forces to the field at each Hall sensor.
@@ -19,6 +20,7 @@
 
 pub mod design;
 pub mod effects;
+pub mod error;
 pub mod fit;
 pub mod gru;
 pub mod input;

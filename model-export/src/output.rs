@@ -6,8 +6,10 @@ use std::path::{Path, PathBuf};
 
 use tempfile::{NamedTempFile, TempDir};
 
-use crate::recordings::error::ErrorKind;
-use crate::recordings::{DataError, Location};
+use crate::error::{DataError, ErrorKind, Location};
+
+/// First line of every generated file of tables.
+pub const TABLES_MARK: &str = "// Written by `magpie dev export`.";
 
 /// Bytes that identify a file of this tool.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

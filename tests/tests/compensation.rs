@@ -13,7 +13,8 @@ use model_export::effects::{
     CATALOGUE, DeviceForm, EffectTerm, ExcitationSeries, Expression, FinalState, ForceForm,
     ParameterKind, REFERENCE_C, StateSeries, find,
 };
-use model_export::inverse::compensation::{DeviceSupport, OwnedCompensation};
+use model_export::inverse::compensation::OwnedCompensation;
+use model_export::inverse::device_support::DeviceSupport;
 use model_export::inverse::model_selection::{SelectedModels, select_models};
 use model_export::inverse::static_model::StaticModel;
 use nalgebra::Rotation3;

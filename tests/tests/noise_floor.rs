@@ -9,7 +9,7 @@ use model_export::fit::rows::SensorRows;
 use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
 use model_export::recordings::dependence::{Dependence, DependenceKind, dependences};
-use model_export::recordings::noise_model::{NoiseEstimator, RowOrder};
+use model_export::recordings::noise_estimate::{NoiseEstimator, RowOrder};
 use nalgebra::Vector3;
 use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};

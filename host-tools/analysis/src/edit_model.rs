@@ -13,7 +13,7 @@ use model_export::fit::campaign::FitSetup;
 use model_export::fit::effect_size::{EffectSize, effect_sizes};
 use model_export::fit::joint::JointFit;
 use model_export::input::MAX_EFFECTS;
-use model_export::inverse::compensation::{DeviceSupport, device_support};
+use model_export::inverse::device_support::{DeviceSupport, device_support};
 use model_export::model_file::{BaseKind, ModelFile, Provenance};
 use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;

@@ -5,10 +5,10 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
+use model_export::error::ErrorKind;
 use model_export::fit::FitError;
 use model_export::fit::campaign::FitSetup;
 use model_export::recordings::align::Alignment;
-use model_export::recordings::error::ErrorKind;
 use model_export::recordings::import::{self, Imported};
 use model_export::recordings::{Campaign, DataError};
 

@@ -3,7 +3,7 @@
 use crate::numbers::signal;
 use crate::statistics::pooled_rms;
 use model_export::recordings::columns::SignalUnit;
-use model_export::recordings::noise_model::{NoiseEstimate, NoiseEstimator};
+use model_export::recordings::noise_estimate::{NoiseEstimate, NoiseEstimator};
 use serde::Serialize;
 use std::collections::BTreeMap;
 

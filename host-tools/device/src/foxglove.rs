@@ -18,8 +18,8 @@ use firmware::protocol::serial::Packet;
 use firmware::sensors::hall::SENSORS;
 use futures::{SinkExt, StreamExt};
 use hyper_util::rt::TokioIo;
+use model_export::error::DataError;
 use model_export::recordings::columns::COVARIATES;
-use model_export::recordings::error::DataError;
 use model_export::recordings::mcap::{
     EstimatedForce, MESSAGE_ENCODING, NumberTopic, RecordingTopics, SCHEMA_ENCODING, TopicSink,
 };

@@ -32,9 +32,8 @@ use model_export::gru::train::checkpoint;
 use model_export::gru::train::dataset::Topology;
 use model_export::gru::train::trainer::{Trainer, TrainingSettings};
 use model_export::inverse::build::{ModelVariant, build};
-use model_export::inverse::codegen::MARK;
 use model_export::model_file::{BaseKind, ModelFile, SIGNATURE};
-use model_export::output::{check_output, write_new, write_output};
+use model_export::output::{TABLES_MARK, check_output, write_new, write_output};
 use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
 use model_export::recordings::guess;
@@ -230,12 +229,12 @@ fn export(
     network: Option<PathBuf>,
 ) -> PyResult<Py<PyString>> {
     let result = interrupt::run(py, move |_| {
-        check_output(&output, MARK)?;
+        check_output(&output, TABLES_MARK)?;
         let built = build(&model, ModelVariant::Fitted)?;
         check_compensated(&built, "remove it from the model")?;
         let networks = network.as_deref().map(|path| NetworkSet::read(path, &built)).transpose()?;
         let source = tables_source(&built, networks.as_ref())?;
-        write_output(&output, source.as_bytes(), MARK)?;
+        write_output(&output, source.as_bytes(), TABLES_MARK)?;
         Ok(text::export::to_json(&built.chosen, &built.header))
     })?;
     Ok(to_text(py, &result))

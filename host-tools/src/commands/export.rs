@@ -6,8 +6,7 @@ use analysis::notes::{Note, UncompensatedEffect};
 use analysis::replay::bags::write_bags;
 use anyhow::{Result, bail};
 use model_export::inverse::build::{DeviceModel, ModelVariant, build};
-use model_export::inverse::codegen::MARK;
-use model_export::output::{check_output, write_output};
+use model_export::output::{TABLES_MARK, check_output, write_output};
 use serde_json::json;
 
 use crate::commands::args::AlignArgs;
@@ -61,7 +60,7 @@ pub fn run(args: &Args) -> Result<()> {
     if args.align.alignment()?.delay_us != 0.0 {
         bail!("--delay-ms is of the recordings of --mcap; tables have no reference");
     }
-    check_output(&args.output, MARK)?;
+    check_output(&args.output, TABLES_MARK)?;
     let built = build(&args.model, variant)?;
     built.check_sensors(&args.model)?;
     if !args.uncompensated {
@@ -70,7 +69,7 @@ pub fn run(args: &Args) -> Result<()> {
     let networks =
         args.network.as_deref().map(|path| NetworkSet::read(path, &built)).transpose()?;
     let source = tables_source(&built, networks.as_ref())?;
-    write_output(&args.output, source.as_bytes(), MARK)?;
+    write_output(&args.output, source.as_bytes(), TABLES_MARK)?;
     let uncompensated = UncompensatedEffect::of(&built).map(Note::Uncompensated);
     print_notes(&uncompensated.collect::<Vec<_>>());
     print_conditions(&built);

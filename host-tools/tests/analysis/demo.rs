@@ -1,7 +1,7 @@
 //! `magpie demo`: its report follows the campaign.
 
 use crate::workdir::{WorkDir, campaign, text};
-use model_export::inverse::codegen::MARK;
+use model_export::output::TABLES_MARK;
 
 /// Report of the demo, and its folder of output.
 fn demo(arguments: &[&str]) -> (String, WorkDir) {
@@ -72,7 +72,7 @@ fn demo_adds_an_effect_and_a_formula_and_the_force_error_falls_twice() {
     assert!((of_step - of_model).abs() < 1e-6, "{of_step} {of_model}");
     // The tables are those of the last model.
     let tables = std::fs::read_to_string(dir.path("tables.rs")).unwrap();
-    assert!(tables.starts_with(MARK) && tables.contains("formula_1"));
+    assert!(tables.starts_with(TABLES_MARK) && tables.contains("formula_1"));
     // Forces before and after, the curve, the error step by step.
     let page = std::fs::read_to_string(dir.path("report.html")).unwrap();
     let place = |id: &str| page.find(&format!("<section id=\"{id}\"")).unwrap();

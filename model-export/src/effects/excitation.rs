@@ -2,10 +2,10 @@
 
 use std::collections::BTreeMap;
 
-use crate::effects::operators::{self, SmoothingImpulse};
 use crate::recordings::Recording;
 use crate::recordings::columns::{Axis, force_column_name};
 use crate::recordings::recording::ForceSeries;
+use crate::recordings::smoothing::{self, SmoothingImpulse};
 
 /// Forces and covariates of one sensor over one recording, on the reference clock.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -57,9 +57,9 @@ impl ExcitationSeries {
                 |series| select_rows(&series.newtons, usable),
             )
         });
-        let half_window = operators::half_window(&time_s, columns.iter().map(Vec::as_slice));
+        let half_window = smoothing::half_window(&time_s, columns.iter().map(Vec::as_slice));
         let smoothed =
-            columns.each_ref().map(|values| operators::smooth_within(half_window, &time_s, values));
+            columns.each_ref().map(|values| smoothing::smooth_within(half_window, &time_s, values));
         let pair = |of: &dyn Fn(usize, usize) -> f64| {
             (0..usable.len()).map(|i| [of(0, i), of(1, i)]).collect()
         };
@@ -88,10 +88,28 @@ impl ExcitationSeries {
     pub fn with_forces(&self, force_n: Vec<[f64; 2]>) -> Self {
         let [x, z] = [0, 1].map(|axis| {
             let column: Vec<f64> = force_n.iter().map(|force| force[axis]).collect();
-            operators::smooth_within(self.smoothing_impulse.half_window(), &self.time_s, &column)
+            smoothing::smooth_within(self.smoothing_impulse.half_window(), &self.time_s, &column)
         });
         let pair = |x: &[f64], z: &[f64]| x.iter().zip(z).map(|(x, z)| [*x, *z]).collect();
         Self { smooth_n: pair(&x.0, &z.0), rate_n_per_s: pair(&x.1, &z.1), force_n, ..self.clone() }
+    }
+
+    /// Increment by a linear operator of the smoothed force of one axis, row by row.
+    ///
+    /// A shift or filter reduces the contribution of a row's own noise. Added to the reading, it would average the
+    /// reference's noise and reduce the residual without physical cause; that part is subtracted.
+    pub fn operator_increment(
+        &self,
+        axis: usize,
+        operator: impl Fn(&[f64], &[f64], &[f64]) -> Vec<f64>,
+    ) -> Vec<f64> {
+        let column = |of: &[[f64; 2]]| -> Vec<f64> { of.iter().map(|pair| pair[axis]).collect() };
+        let (smooth, rate) = (column(&self.smooth_n), column(&self.rate_n_per_s));
+        let noise_gain = self.smoothing_impulse.noise_gain(&operator);
+        let changed = operator(&self.time_s, &smooth, &rate);
+        let readings = self.force_n.iter().map(|force| force[axis]);
+        let rows = changed.iter().zip(&smooth).zip(readings);
+        rows.map(|((after, before), read)| after - before - noise_gain * (read - before)).collect()
     }
 
     /// The selected rows, in this order.
@@ -155,7 +173,7 @@ impl ExcitationSeries {
             "fz_rate_n_per_s" => Some(self.rate_n_per_s.iter().map(|rate| rate[1]).collect()),
             OPENING_RATE => {
                 let opening_mm = self.covariates.get("opening_mm")?;
-                Some(operators::smooth(&self.time_s, opening_mm).1)
+                Some(smoothing::smooth(&self.time_s, opening_mm).1)
             }
             "session_s" => Some(self.time_s.iter().map(|t| t + self.start_s).collect()),
             _ => self.covariates.get(name).or_else(|| self.forces_of_others.get(name)).cloned(),
@@ -284,6 +302,7 @@ fn path_length(force_n: &[f64], half_width_n: f64) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::effects::operators::{delayed, low_pass};
 
     #[test]
     fn with_forces_recomputes_rates_and_keeps_covariates() {
@@ -331,5 +350,29 @@ mod tests {
         assert!((last(&series[0]) - 10.0 * 0.95).abs() < 0.05);
         assert!((last(&series[1]) - 20.0 * 0.95).abs() < 0.1);
         assert_eq!(series[1].cycles[0][1], 0.0);
+    }
+
+    #[test]
+    fn increment_excludes_the_noise_of_its_own_row() {
+        // An error of 1 N in one row must not enter the increment of that row.
+        let mut reading = vec![0.0; 101];
+        reading[50] = 1.0;
+        let time_s: Vec<f64> = (0..101).map(|i| f64::from(i) * 0.01).collect();
+        let force_n = reading.iter().map(|x| [*x, 0.0]).collect();
+        let excitation = ExcitationSeries {
+            smoothing_impulse: SmoothingImpulse::new(&time_s),
+            time_s,
+            ..ExcitationSeries::default()
+        }
+        .with_forces(force_n);
+        for delay_s in [0.003, -0.003, 0.02] {
+            let shift =
+                |t: &[f64], values: &[f64], rates: &[f64]| delayed(t, values, rates, delay_s);
+            let added = excitation.operator_increment(0, shift);
+            assert!(added[50].abs() < 1e-12, "{delay_s}: {}", added[50]);
+            assert!(added[48].abs() > 1e-4, "{delay_s}: {}", added[48]);
+        }
+        let late = excitation.operator_increment(0, |t, values, _| low_pass(t, values, 0.03));
+        assert!(late[50].abs() < 1e-12, "{}", late[50]);
     }
 }

@@ -2,6 +2,7 @@
 //! unknown.
 
 use nalgebra::{Matrix3, Vector3};
+use serde::{Deserialize, Serialize};
 
 use crate::fit::parameters::{
     COUNT, Derivatives, FIRST_OF_GEOMETRY, FreeParameter, PARAMETERS, tolerances, values,
@@ -11,6 +12,16 @@ use crate::fit::polynomial::Polynomial;
 use crate::physics::sensor::CYLINDER_WEIGHTS;
 use crate::physics::{FieldResponse, ForwardModel, PhysicalState};
 use crate::recordings::columns::Axis;
+
+/// Base model of the field.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum BaseKind {
+    /// Closed-form magnet on two flexures.
+    Cylinder,
+    /// Polynomial of the forces.
+    Polynomial,
+}
 
 /// The base of one sensor's model, as a fit sees it.
 pub trait BaseModel: Send + Sync {

@@ -6,14 +6,13 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use rayon::prelude::*;
 
 use crate::effects::EffectTerm;
-use crate::fit::base_model::{BaseModel, CylinderBase, PolynomialBase};
+use crate::fit::base_model::{BaseKind, BaseModel, CylinderBase, PolynomialBase};
 use crate::fit::cross_validation::CvSplit;
 use crate::fit::joint::{self, BaseFits, JointFit};
 use crate::fit::polynomial::{self, PolynomialFit};
+use crate::fit::profile_likelihood::shape_profiles;
 use crate::fit::rows::{SensorRows, own_forces};
-use crate::fit::shape_profile::shape_profiles;
 use crate::fit::{AxisScore, FitError, FitOptions, orientation};
-use crate::model_file::BaseKind;
 use crate::physics::{ForwardModel, SensorMounting};
 use crate::recordings::columns::Axis;
 use crate::recordings::description::NominalDesign;

@@ -18,6 +18,7 @@
 //! - [`effect_size`]: magnitude of an effect over all sensors.
 //! - [`recording_differences`]: zeros and places that differ between recordings.
 //! - [`score_test`]: test of a candidate effect without refitting.
+//! - `profile_likelihood`: fits with other values of a shape, with their likelihoods ([`shape_profile`]).
 //! - [`campaign`]: from a campaign to its fits.
 
 pub mod base_model;
@@ -34,6 +35,7 @@ pub mod orientation;
 pub mod parameters;
 pub mod polynomial;
 pub mod problem;
+mod profile_likelihood;
 pub mod recording_differences;
 pub mod rows;
 pub mod score_test;

@@ -8,7 +8,8 @@ use crate::fit::FitError;
 use crate::physics::SensorOrientation;
 use crate::recordings::columns::{Axis, force_column_name};
 use crate::recordings::dependence::{BlockFolds, block_folds};
-use crate::recordings::noise_model::{RowOrder, jitter_n};
+use crate::recordings::noise_estimate::RowOrder;
+use crate::recordings::noise_model::jitter_n;
 use crate::recordings::{Campaign, Location, Recording};
 
 /// Minimum standard deviation of a force, in standard deviations of its noise.

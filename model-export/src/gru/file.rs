@@ -5,12 +5,12 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
+use crate::error::ErrorKind;
 use crate::gru::network::{GATES, Layer, Network, OUTPUTS, ScaledInput, Target, TrainedRange};
 use crate::gru::tensors::{self, NamedTensor, TensorFile, TensorFileKind};
 use crate::gru::train::dataset::Topology;
 use crate::gru::train::trainer::{BestEpoch, TrainingSettings};
 use crate::input::MAX_HIDDEN;
-use crate::recordings::error::ErrorKind;
 use crate::recordings::recording::hex;
 use crate::recordings::{DataError, Location};
 

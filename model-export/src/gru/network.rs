@@ -14,11 +14,7 @@
 
 use crate::gru::recurrence::{LayerTape, LayerWeights, transposed, weighted_sums};
 
-/// Gates of a unit: reset, update, candidate.
-pub const GATES: usize = 3;
-
-/// Outputs for one sensor: mean of Fx and Fz, logarithm of the standard deviation of Fx and Fz.
-pub const OUTPUTS: usize = 4;
+pub use firmware::model::formats::{GATES, OUTPUTS};
 
 /// Source of a network input.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]

@@ -5,7 +5,7 @@
 
 #![allow(unsafe_code)] // Instructions that not every processor has, loads and stores of eight numbers at once.
 
-use crate::gru::network::GATES;
+use firmware::model::formats::GATES;
 
 /// Weights of a layer.
 #[derive(Clone, Copy, Debug)]

@@ -10,9 +10,9 @@ use safetensors::tensor::{Dtype, SafeTensors, TensorView, serialize};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
+use crate::error::ErrorKind;
 use crate::input;
 use crate::output::{FileSignature, write_output};
-use crate::recordings::error::ErrorKind;
 use crate::recordings::{DataError, Location};
 
 /// Bytes of a file before its header.

@@ -7,6 +7,7 @@ use serde::Serialize;
 use sha2::{Digest, Sha256};
 
 use crate::effects::{DeviceForm, Effect, EffectTerm, ErrorOrigin};
+use crate::error::ErrorKind;
 use crate::fit::rows::ForcePair;
 use crate::input;
 use crate::inverse::compensation::{NotCompensable, OwnedCompensation, board_conditions};
@@ -14,7 +15,6 @@ use crate::inverse::model_selection::{SelectedModels, select_models};
 use crate::inverse::quantise::TableOverflow;
 use crate::inverse::static_model::{StaticBase, StaticModel};
 use crate::model_file::{ModelFile, SensorModel, SensorScale};
-use crate::recordings::error::ErrorKind;
 use crate::recordings::recording::hex;
 use crate::recordings::{DataError, Location};
 

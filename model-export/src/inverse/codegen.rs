@@ -7,11 +7,9 @@ use crate::inverse::calibration::CalibrationDescription;
 use crate::inverse::compensation::OwnedCompensation;
 use crate::inverse::model_selection::SelectedModels;
 use crate::inverse::quantise::TableSet;
+use crate::output::TABLES_MARK;
 use firmware::model::formats::{CentrePair, SensorTable};
 use std::fmt::{Display, Write};
-
-/// First line of every generated file.
-pub const MARK: &str = "// Written by `magpie dev export`.";
 
 /// Source that declares `TABLES`, an empty `NETWORKS`, and their `DESCRIPTION`.
 pub fn tables_source(built: &DeviceModel) -> String {
@@ -105,7 +103,7 @@ fn comment(chosen: &SelectedModels, header: &ExportHeader) -> String {
     let state = header.valid_from.iter().map(|state| format!("// state     {state}\n"));
     let state: String = state.collect();
     let mut text = format!(
-        "{MARK} Do not edit: fit again and export again.\n\
+        "{TABLES_MARK} Do not edit: fit again and export again.\n\
          //\n\
          // inputs    {} (SHA-256 of the model file)\n\
          // model     {}, campaign {}\n\

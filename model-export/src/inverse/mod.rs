@@ -8,12 +8,14 @@
 //! - [`compensation`]: effects that the device compensates before and after the inverse.
 //! - [`build`]: from a model file to the device's tables.
 //! - [`calibration`]: tables and networks as the bytes of an upload.
+//! - [`device_support`]: whether the device compensates an effect, and if not, why.
 //! - [`codegen`]: tables and networks as Rust source.
 
 pub mod build;
 pub mod calibration;
 pub mod codegen;
 pub mod compensation;
+pub mod device_support;
 pub mod grbf;
 pub mod model_selection;
 pub mod parity;

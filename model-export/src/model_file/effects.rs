@@ -9,7 +9,7 @@ use crate::effects::expression::ParameterRange;
 use crate::effects::{EffectTerm, Expression, ParameterScope, find};
 use crate::fit::effect_size::{effect_sizes, first_parameter};
 use crate::fit::joint::JointFit;
-use crate::model_file::{FittedValue, digits};
+use crate::model_file::sensor::{FittedValue, digits};
 
 /// A fitted effect.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

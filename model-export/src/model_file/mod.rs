@@ -8,6 +8,7 @@ use firmware::config::constants::{self, FORCE_RANGE};
 use serde::{Deserialize, Serialize};
 
 use crate::effects::{EffectTerm, ErrorOrigin, FinalState};
+use crate::error::ErrorKind;
 use crate::fit::campaign::FitSetup;
 use crate::fit::joint::{JointFit, SensorFit};
 use crate::fit::parameters::{self, PARAMETERS};
@@ -16,21 +17,19 @@ use crate::fit::{CampaignFits, FitError, FitOptions};
 use crate::input::{
     self, MAX_EFFECTS, MAX_MAGNITUDE, MAX_SENSORS, check_plausible, plausible_range,
 };
-use crate::inverse::codegen;
 use crate::inverse::grbf::{GrbfShape, MAX_CENTRES_ACROSS};
 use crate::inverse::static_model::ForcePolynomial;
-use crate::output::write_output;
+use crate::output::{TABLES_MARK, write_output};
 use crate::physics::{ForwardModel, SensorMounting};
 use crate::recordings::description::{NominalDesign, parse_toml};
-use crate::recordings::error::ErrorKind;
 use crate::recordings::recording::recording_name;
-use crate::recordings::units::round_significant;
 use crate::recordings::{Campaign, DataError, Location};
 
 mod effects;
 mod predictor;
 mod sensor;
 
+pub use crate::fit::base_model::BaseKind;
 pub use effects::{EffectModel, SensorEffect};
 pub use predictor::{FieldPrediction, Predictor, RowCorrection};
 pub use sensor::{
@@ -68,16 +67,6 @@ pub struct ModelFile {
     /// Effects in addition to the base.
     #[serde(default, rename = "effect", skip_serializing_if = "Vec::is_empty")]
     pub effects: Vec<EffectModel>,
-}
-
-/// Base model of the field.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum BaseKind {
-    /// Closed-form magnet on two flexures.
-    Cylinder,
-    /// Polynomial of the forces.
-    Polynomial,
 }
 
 impl ModelFile {
@@ -198,7 +187,7 @@ impl ModelFile {
             return Err(ErrorKind::NetworkForModel.at(Location::file(path)));
         }
         let text = input::read_text(path)?;
-        if text.starts_with(codegen::MARK) {
+        if text.starts_with(TABLES_MARK) {
             return Err(ErrorKind::TablesForModel.at(Location::file(path)));
         }
         let is_model =
@@ -409,11 +398,6 @@ fn with_final_states(
         }
     }
     sensors
-}
-
-/// Rounds to ten digits: far below any standard error, and independent of the processor's last bits.
-fn digits(value: f64) -> f64 {
-    round_significant(value, 10)
 }
 
 /// Source of a model's numbers.

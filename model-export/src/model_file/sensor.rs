@@ -11,9 +11,9 @@ use crate::fit::joint::SensorFit;
 use crate::fit::polynomial::{Polynomial, PolynomialFit};
 use crate::fit::rows::{ForcePair, own_forces, pair};
 use crate::input::MAX_POLYNOMIAL_TERMS;
-use crate::model_file::digits;
 use crate::physics::SensorOrientation;
 use crate::recordings::columns::{Axis, ForceColumn, force_column, force_column_name};
+use crate::recordings::units::round_significant;
 
 /// Model of one sensor.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -240,4 +240,9 @@ impl HeldOutError {
             span_g: digits(score.span_g),
         }
     }
+}
+
+/// Rounds to ten digits: far below any standard error, and independent of the processor's last bits.
+pub(super) fn digits(value: f64) -> f64 {
+    round_significant(value, 10)
 }

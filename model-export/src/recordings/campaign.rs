@@ -6,12 +6,13 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 
+use crate::error::{DataError, ErrorKind, Location, Notice};
 use crate::recordings::align::Alignment;
 use crate::recordings::description::{NominalDesign, RECORDING_FILE};
-use crate::recordings::error::{DataError, ErrorKind, Location, Notice};
 use crate::recordings::in_order;
-use crate::recordings::recording::{Recording, RecordingWindows, recording_name};
+use crate::recordings::recording::{Recording, recording_name};
 use crate::recordings::repeated_settings;
+use crate::recordings::windows::RecordingWindows;
 
 /// All recordings of one gripper in order of their start.
 #[derive(Clone, Debug)]

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use serde::{Deserialize, Serialize};
 
-use crate::recordings::error::{ErrorKind, closest_match};
+use crate::error::{ErrorKind, closest_match};
 use crate::recordings::units::{self, column_unit, column_units};
 
 /// Axis of a field or a force. The magnet moves in the plane of `x` and `z`; `y` points across the gap, along

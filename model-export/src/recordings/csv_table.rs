@@ -4,11 +4,11 @@ use std::collections::{BTreeSet, VecDeque};
 use std::io::{Cursor, Read, Seek};
 use std::path::{Path, PathBuf};
 
+use crate::error::{DataError, ErrorKind, Location, Notice};
 use crate::input::{
     self, BoundedReader, MAX_COLUMNS, MAX_MAGNITUDE, MAX_RATIO, MAX_ROW_BYTES, MAX_TABLE_BYTES,
     MAX_TIME_US, TableLimit,
 };
-use crate::recordings::error::{DataError, ErrorKind, Location, Notice};
 use crate::recordings::table_format::{EXAMINED_BYTES, SEPARATORS, TableFormat, text_of};
 
 /// A row of numbers; an empty cell is NaN.

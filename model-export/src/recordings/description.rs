@@ -7,8 +7,8 @@ use firmware::config::constants;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
+use crate::error::{DataError, ErrorKind, Location, Notice, closest_match};
 use crate::input::{self, MAX_COLUMNS, MAX_START_S, check_plausible};
-use crate::recordings::error::{DataError, ErrorKind, Location, Notice, closest_match};
 use crate::recordings::units::{column_unit, column_units};
 
 /// Name of the file in the folder of a recording.

@@ -9,13 +9,13 @@ use std::time::{Duration, UNIX_EPOCH};
 use flate2::Compression;
 use flate2::write::GzEncoder;
 
+use crate::error::{DataError, ErrorKind, Location, Notice, closest_match};
 use crate::output::StagingDir;
 use crate::recordings::align::Alignment;
 use crate::recordings::campaign::Campaign;
 use crate::recordings::columns::is_angle;
 use crate::recordings::csv_table::{CellRule, CsvRow, CsvTable};
 use crate::recordings::description::{JoinedChannel, RecordingDescription, TimeOrigin};
-use crate::recordings::error::{DataError, ErrorKind, Location, Notice, closest_match};
 use crate::recordings::mapping::{
     ATTITUDE_COLUMNS, ColumnMapping, Mapping, TableMapping, conversion, conversion_factor,
     euler_angles,

@@ -6,10 +6,10 @@ use std::path::Path;
 use nalgebra::{Quaternion, UnitQuaternion};
 use serde::{Deserialize, Serialize};
 
+use crate::error::{DataError, ErrorKind, Location, closest_match};
 use crate::input::{self, MAX_COLUMNS, MAX_START_S, plausible_range};
 use crate::recordings::columns::{force_column, hall_column};
 use crate::recordings::description::{NominalDesign, parse_toml};
-use crate::recordings::error::{DataError, ErrorKind, Location, closest_match};
 use crate::recordings::units::{UNITS, column_unit, find_unit};
 
 /// Content of a mapping file.

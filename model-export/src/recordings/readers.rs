@@ -6,6 +6,7 @@ use std::path::Path;
 use firmware::config::constants;
 use firmware::sensors::hall::a31301;
 
+use crate::error::{DataError, ErrorKind, Location, Notice};
 use crate::recordings::align::Sample;
 use crate::recordings::columns::{
     Axis, FieldUnit, ForceColumn, HallColumn, STATOR_CURRENTS, force_column, hall_column, is_angle,
@@ -14,7 +15,6 @@ use crate::recordings::csv_table::{
     CellRule, ClockMonitor, CsvRow, CsvTable, missing_clock, period_us,
 };
 use crate::recordings::description::{NominalDesign, RECORDING_FILE, RecordingDescription};
-use crate::recordings::error::{DataError, ErrorKind, Location, Notice};
 use crate::recordings::noise::WhiteNoise;
 use crate::recordings::units;
 

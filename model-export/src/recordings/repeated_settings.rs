@@ -9,7 +9,8 @@ use std::collections::BTreeMap;
 use nalgebra::Vector3;
 
 use crate::recordings::Recording;
-use crate::recordings::noise_model::{NoiseEstimate, NoiseEstimator, root_mean, set_total};
+use crate::recordings::noise_estimate::{NoiseEstimate, NoiseEstimator};
+use crate::recordings::noise_model::{root_mean, set_total};
 
 /// Degrees of freedom of repeated settings, and their number, at least.
 const MIN_REPEATS: (usize, usize) = (8, 5);

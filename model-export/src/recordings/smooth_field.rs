@@ -5,10 +5,10 @@ use std::ops::Range;
 
 use nalgebra::{DMatrix, DVector, Vector3};
 
-use crate::effects::operators;
 use crate::recordings::Recording;
 use crate::recordings::columns::Axis;
 use crate::recordings::noise::autocorrelation_rows;
+use crate::recordings::smoothing;
 
 /// Maximum number of terms.
 pub const MAX_TERMS: usize = 70;
@@ -286,7 +286,7 @@ impl SmoothField {
         };
         for (_, load) in &loads {
             let rates =
-                by_part(&|part| operators::smooth(&time_s[part.clone()], &load.values[part]).1);
+                by_part(&|part| smoothing::smooth(&time_s[part.clone()], &load.values[part]).1);
             further.extend(Scaled::of(rates.into_iter()).map(|rates| rates.values));
         }
         let spare = budget.saturating_sub(1 + 2 * loads.len());

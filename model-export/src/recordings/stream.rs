@@ -3,12 +3,12 @@
 
 use std::path::Path;
 
+use crate::error::{DataError, ErrorKind, Location, Notice};
 use crate::input::check_window_values;
 use crate::recordings::align::{Aligner, Alignment, Window, WindowMotion};
 use crate::recordings::columns::ChannelLayout;
 use crate::recordings::csv_table::{CsvRow, CsvTable, GAP_STEPS};
 use crate::recordings::description::RecordingDescription;
-use crate::recordings::error::{DataError, ErrorKind, Location, Notice};
 use crate::recordings::readers::{ForceReader, HallReader};
 
 /// One row on the reference clock.

@@ -3,6 +3,8 @@
 
 #[path = "../../../model-export/src/effects/mod.rs"]
 pub mod effects;
+#[path = "../../../model-export/src/error.rs"]
+pub mod error;
 #[path = "../../../model-export/src/input.rs"]
 pub mod input;
 #[path = "../../../model-export/src/output.rs"]

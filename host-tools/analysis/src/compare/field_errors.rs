@@ -16,7 +16,7 @@ use model_export::model_file::{FieldPrediction, ModelFile};
 use model_export::physics::SensorOrientation;
 use model_export::physics::sensor::force_per_field;
 use model_export::recordings::columns::Axis;
-use model_export::recordings::noise_model::NoiseEstimate;
+use model_export::recordings::noise_estimate::NoiseEstimate;
 use model_export::recordings::{Campaign, DataError, Notice, Recording};
 use nalgebra::Vector3;
 use rayon::prelude::*;

@@ -2,7 +2,7 @@
 //! estimates disagree.
 
 use model_export::recordings::dependence::dependences;
-use model_export::recordings::noise_model::RowOrder;
+use model_export::recordings::noise_estimate::RowOrder;
 use model_export::recordings::{Campaign, Location};
 
 use crate::data_quality::evidence::{Evidence, RecordingSet};

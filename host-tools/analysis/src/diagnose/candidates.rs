@@ -10,7 +10,7 @@ use model_export::fit::held_out::BlockChange;
 use model_export::fit::score_test::{CandidateScore, ScoreTest};
 use model_export::model_file::{BaseKind, ModelFile};
 use model_export::recordings::columns::SignalUnit;
-use model_export::recordings::noise_model::RowOrder;
+use model_export::recordings::noise_estimate::RowOrder;
 use model_export::recordings::{Campaign, Recording};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;

@@ -5,7 +5,7 @@ use model_export::effects::{EffectTerm, find};
 use model_export::fit::joint::JointFit;
 use model_export::fit::polynomial::HigherDegree;
 use model_export::fit::recording_differences::DifferenceCause;
-use model_export::inverse::compensation::DeviceSupport;
+use model_export::inverse::device_support::DeviceSupport;
 use model_export::recordings::Campaign;
 use model_export::recordings::mapping::ATTITUDE_COLUMNS;
 use serde::Serialize;

@@ -28,7 +28,7 @@ use model_export::fit::campaign::{FitSetup, SEARCH_ROWS};
 use model_export::fit::joint::JointFit;
 use model_export::fit::polynomial::PolynomialFit;
 use model_export::fit::recording_differences::DifferenceCause;
-use model_export::inverse::compensation::{DeviceSupport, device_support};
+use model_export::inverse::device_support::{DeviceSupport, device_support};
 use model_export::model_file::{EffectModel, ModelFile, Provenance};
 use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;

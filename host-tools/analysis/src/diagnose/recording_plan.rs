@@ -12,7 +12,6 @@ use std::f64::consts::TAU;
 
 use firmware::config::constants;
 use model_export::effects::excitation::LoadCycleCounter;
-use model_export::effects::operators::SmoothingImpulse;
 use model_export::effects::{EffectTerm, ExcitationSeries, find};
 use model_export::fit::FitOptions;
 use model_export::fit::campaign::FitSetup;
@@ -21,6 +20,7 @@ use model_export::fit::problem::SensorProblem;
 use model_export::fit::rows::{RecordingRows, SensorRows};
 use model_export::fit::score_test::ScoreTest;
 use model_export::recordings::columns::{Axis, COVARIATES, STATOR_CURRENTS};
+use model_export::recordings::smoothing::SmoothingImpulse;
 use model_export::stop;
 use nalgebra::Vector3;
 use rayon::prelude::*;

@@ -13,7 +13,7 @@ use analysis::numbers::{self, signal};
 use anstyle::Style;
 use model_export::effects::{EffectTerm, find};
 use model_export::fit::polynomial::HigherDegree;
-use model_export::inverse::compensation::DeviceSupport;
+use model_export::inverse::device_support::DeviceSupport;
 use model_export::recordings::columns::SignalUnit;
 use serde_json::{Value, json};
 

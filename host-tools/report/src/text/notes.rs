@@ -1,7 +1,7 @@
 //! Text of notes: one sentence for each.
 
 use analysis::notes::{Note, UncompensatedEffect};
-use model_export::inverse::compensation::DeviceSupport;
+use model_export::inverse::device_support::DeviceSupport;
 
 use crate::text::comparison::missing_forces;
 use crate::text::findings;

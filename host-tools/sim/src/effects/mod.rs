@@ -4,7 +4,7 @@ use crate::random::{Purpose, stream, uniform};
 use anyhow::{Context, Result, bail};
 use model_export::effects::catalogue::{HYSTERESIS, NEIGHBOUR_MAGNET, SCREW_BACKLASH};
 use model_export::effects::{CATALOGUE, Simulation, find};
-use model_export::recordings::error::closest_match;
+use model_export::error::closest_match;
 use serde::{Deserialize, Serialize};
 use std::str::FromStr;
 use std::sync::LazyLock;

@@ -21,9 +21,9 @@ use axum::{Json, Router};
 use model_export::effects::EffectTerm;
 use model_export::fit::FitOptions;
 use model_export::inverse::build::{DeviceModel, ModelVariant, build_model};
-use model_export::inverse::codegen::{self, tables_source};
+use model_export::inverse::codegen::tables_source;
 use model_export::model_file::{BaseKind, ModelFile};
-use model_export::output::{check_output, write_output};
+use model_export::output::{TABLES_MARK, check_output, write_output};
 use model_export::recordings::align::Alignment;
 use model_export::recordings::campaign::recording_folders;
 use model_export::stop::{self, Stop};
@@ -496,10 +496,10 @@ async fn write(State(server): State<Server>, Json(request): Json<WriteRequest>) 
                 write_plan_file(path, &plan, &campaign)?
             }
             Kind::Tables => {
-                check_output(path, codegen::MARK)?;
+                check_output(path, TABLES_MARK)?;
                 let built = tables(&shown.model)?;
                 check_compensated(&built, "export")?;
-                write_output(path, tables_source(&built).as_bytes(), codegen::MARK)?;
+                write_output(path, tables_source(&built).as_bytes(), TABLES_MARK)?;
                 format!("Written to {}.{}", path.display(), conditions(&built))
             }
             Kind::Board => {

@@ -6,11 +6,11 @@
 
 use crate::design::beam::{Beam, Support};
 use crate::design::material::{MATERIALS, Material, Strength};
+use crate::error::{DataError, ErrorKind, Location, closest_match};
 use crate::fit::parameters;
 use crate::input::{self, check_plausible};
 use crate::output::write_output;
 use crate::recordings::description::{MagnetSpec, NominalDesign as Nominal, parse_toml};
-use crate::recordings::error::{DataError, ErrorKind, Location, closest_match};
 use firmware::config::constants::{self, Constant, assumed, stated};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;

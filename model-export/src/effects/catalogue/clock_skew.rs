@@ -1,6 +1,6 @@
 //! Time offset between the clocks of board and reference.
 
-use crate::effects::operators::{delayed, operator_increment};
+use crate::effects::operators::delayed;
 use crate::effects::{
     DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, MagnitudeSpec, Signature,
     SimulatedMagnitude, Simulation, StateSeries, TimeDependence,
@@ -54,7 +54,7 @@ pub const EFFECT: Effect = Effect {
 fn apply(values: &[f64], excitation: &ExcitationSeries, series: &mut StateSeries) {
     let &[skew_ms] = values else { return };
     for axis in 0..2 {
-        let shifted = operator_increment(excitation, axis, |time_s, force, rate| {
+        let shifted = excitation.operator_increment(axis, |time_s, force, rate| {
             delayed(time_s, force, rate, 1e-3 * skew_ms)
         });
         series.add_force(axis, |row| shifted[row]);

@@ -1,7 +1,7 @@
 //! The catalogue: one file for each effect, with its physics, equation, parameters and action.
 
 use crate::effects::Effect;
-use crate::recordings::error::closest_match;
+use crate::error::closest_match;
 
 /// Declares the file of each effect, a constant for it, and the list of all.
 macro_rules! catalogue {

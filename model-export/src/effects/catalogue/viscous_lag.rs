@@ -1,6 +1,6 @@
 //! Viscous lag of a flexure.
 
-use crate::effects::operators::{low_pass_with_rates, operator_increment};
+use crate::effects::operators::low_pass_with_rates;
 use crate::effects::{
     DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, ForceForm, MagnitudeSpec,
     Signature, SimulatedMagnitude, Simulation, StateSeries, TimeDependence,
@@ -55,7 +55,7 @@ fn apply(values: &[f64], excitation: &ExcitationSeries, series: &mut StateSeries
     for (axis, &lag_ms) in values.iter().enumerate().take(2) {
         let lag_s = 1e-3 * lag_ms;
         if lag_s > 0.0 {
-            let late = operator_increment(excitation, axis, |time_s, force, rates| {
+            let late = excitation.operator_increment(axis, |time_s, force, rates| {
                 low_pass_with_rates(time_s, force, rates, lag_s)
             });
             series.add_force(axis, |row| late[row]);

@@ -15,8 +15,8 @@ use crate::effects::excitation::{
 use crate::effects::operators::low_pass;
 use crate::effects::parameter::{EffectParameter, MagnitudeSpec, ParameterKind};
 use crate::effects::state_series::{EffectStage, StateSeries};
+use crate::error::closest_match;
 use crate::input::MAX_MAGNITUDE;
-use crate::recordings::error::closest_match;
 use crate::recordings::units::column_unit;
 
 mod evaluator;

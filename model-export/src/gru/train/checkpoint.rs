@@ -4,11 +4,11 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
+use crate::error::ErrorKind;
 use crate::gru::tensors::{self, NamedTensor, TensorFile, TensorFileKind};
 use crate::gru::train::dataset::Topology;
 use crate::gru::train::parameters::TrainableParameters;
 use crate::gru::train::trainer::{BestEpoch, Trainer, TrainingSettings};
-use crate::recordings::error::ErrorKind;
 use crate::recordings::{DataError, Location};
 
 /// Identity of the training, which must match on resume, and its progress.

@@ -141,7 +141,7 @@ enum Direction {
 }
 
 /// Why the device compensates a formula with no values of its parameters; `None` if it compensates it with some.
-pub(super) fn unsupported(formula: &Expression) -> Option<String> {
+pub(in crate::inverse) fn unsupported(formula: &Expression) -> Option<String> {
     for column in &formula.covariates {
         match column.as_str() {
             "time_s" | "session_s" => {

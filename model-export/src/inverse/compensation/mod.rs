@@ -1,10 +1,7 @@
 //! Effects that the device compensates outside of the inverse, in its formats.
 
 mod effect_tables;
-mod lookup_table;
-mod support;
-
-pub use support::{DeviceSupport, device_support};
+pub(super) mod lookup_table;
 
 use firmware::compensation::lookup_table::{CovariateFilter, FILTERS};
 use firmware::compensation::{Compensation, FieldEffect, ForceEffect, MAX_EFFECTS, crosstalk};

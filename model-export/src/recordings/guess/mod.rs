@@ -10,9 +10,9 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
+use crate::error::{DataError, ErrorKind, Location};
 use crate::recordings::columns::{Axis, COVARIATES, hall_column};
 use crate::recordings::description::parse_toml;
-use crate::recordings::error::{DataError, ErrorKind, Location};
 use crate::recordings::guess::names::{Group, Quantity};
 use crate::recordings::guess::source::{
     MAX_ROWS, SourceColumn, SourceTable, axis_of, column_groups, numeric, read_source, table_with,

@@ -2,9 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::error::{DataError, ErrorKind, Location};
 use crate::recordings::columns::Axis;
 use crate::recordings::csv_table::{CsvReader, CsvTable, number};
-use crate::recordings::error::{DataError, ErrorKind, Location};
 use crate::recordings::guess::names::{ColumnName, Group, Quantity};
 use crate::recordings::mcap::{self, Join, Topic, Undecodable};
 use crate::recordings::units::find_unit;

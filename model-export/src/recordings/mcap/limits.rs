@@ -4,8 +4,8 @@
 use std::path::Path;
 use std::time::{Duration, Instant};
 
+use crate::error::ErrorKind;
 use crate::input::{MAX_COLUMNS, MAX_RECORDING_VALUES, RATIO_FREE_BYTES};
-use crate::recordings::error::ErrorKind;
 
 /// Maximum length of a record or chunk in bytes; recorders write chunks of about 1 MB.
 pub const MAX_RECORD_BYTES: u64 = 256 << 20;

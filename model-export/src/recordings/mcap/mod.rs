@@ -16,10 +16,10 @@ use std::collections::BTreeMap;
 use std::collections::hash_map::{Entry, HashMap};
 use std::path::{Path, PathBuf};
 
+use crate::error::{DataError, ErrorKind, Location, Notice, closest_match};
 use crate::input::MAX_COLUMNS;
 use crate::recordings::csv_table::GAP_STEPS;
 use crate::recordings::description::JoinedChannel;
-use crate::recordings::error::{DataError, ErrorKind, Location, Notice, closest_match};
 use crate::recordings::units::round_significant;
 use decode::Decoder;
 use limits::{Contents, Deadline, check_topics, check_values, max_values, total_bytes};

@@ -4,8 +4,8 @@
 use std::io;
 use std::path::Path;
 
+use crate::error::{DataError, ErrorKind, Location};
 use crate::recordings::description::RecordingDescription;
-use crate::recordings::error::{DataError, ErrorKind, Location};
 use crate::recordings::mapping::{ClockMapping, ColumnMapping, Mapping, TableMapping};
 use crate::recordings::mcap::LOG_TIME;
 use crate::recordings::mcap::writer::{McapWriter, NumberTopic, TopicSink};

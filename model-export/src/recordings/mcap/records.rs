@@ -12,8 +12,8 @@ use flate2::Crc;
 use mcap::records::op;
 use mcap::{Channel, MAGIC, Message, Schema};
 
+use crate::error::{DataError, ErrorKind, Location, Notice};
 use crate::input::{self, MAX_RATIO, MAX_ROW_BYTES, max_decompressed};
-use crate::recordings::error::{DataError, ErrorKind, Location, Notice};
 use crate::recordings::mcap::limits::{self, MAX_RECORD_BYTES};
 
 /// Bytes before the content of a record: its kind and its length.

@@ -11,8 +11,8 @@ use rusqlite::limits::Limit;
 use rusqlite::types::Type;
 use rusqlite::{Connection, OpenFlags, OptionalExtension as _, params};
 
+use crate::error::{DataError, ErrorKind, Location};
 use crate::input;
-use crate::recordings::error::{DataError, ErrorKind, Location};
 use crate::recordings::mcap::limits::{Deadline, MAX_RECORD_BYTES, MAX_TOPICS, check_topics};
 
 /// Messages that are read at a time, and the bytes of them from which on no more are: a bag may hold images, too.

@@ -12,8 +12,8 @@ use flate2::Crc;
 use mcap::MAGIC;
 use mcap::records::op;
 
+use crate::error::{DataError, ErrorKind, Location};
 use crate::output;
-use crate::recordings::error::{DataError, ErrorKind, Location};
 
 /// Key of a channel's metadata: `name=unit` of each number, separated by commas.
 pub const UNITS_KEY: &str = "units";

@@ -1,8 +1,9 @@
 //! `clock_skew`: constant offset between the two clocks.
 
 use model_export::effects::ExcitationSeries;
-use model_export::effects::operators::{delayed, smooth};
+use model_export::effects::operators::delayed;
 use model_export::recordings::Location;
+use model_export::recordings::smoothing::smooth;
 use rayon::prelude::*;
 
 use crate::data_quality::checks::Found;

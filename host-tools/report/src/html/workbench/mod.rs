@@ -8,7 +8,7 @@ use analysis::workbench::{ResidualScatter, Workbench, WorkbenchModel};
 use maud::{DOCTYPE, PreEscaped, html};
 use model_export::effects::excitation::BUILT_IN_COVARIATES;
 use model_export::effects::{EffectTerm, Expression, find};
-use model_export::inverse::compensation::device_support;
+use model_export::inverse::device_support::device_support;
 use plotters::prelude::*;
 use serde_json::{Value, json};
 
