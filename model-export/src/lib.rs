@@ -3,10 +3,7 @@
 //!
 //! Modules in the order of the data flow:
 //!
-//! - [`recordings`]: campaigns on disk: validation, units, clock alignment, import.
-//! - [`error`]: input errors and notices, each with file, line and column.
-//! - [`input`]: regular files only, and the limits of all inputs.
-//! - [`output`]: atomic writes that never overwrite foreign files.
+//! - [`recordings`]: campaigns on disk, with the errors, limits and writing of all files: a crate of its own.
 //! - [`physics`]: forward model from forces to the field at each Hall sensor.
 //! - [`design`]: flexures, materials, and the measurement limits of a design.
 //! - [`effects`]: catalogue of physical effects, and user-defined formulas.
@@ -20,13 +17,12 @@
 
 pub mod design;
 pub mod effects;
-pub mod error;
 pub mod fit;
 pub mod gru;
-pub mod input;
 pub mod inverse;
 pub mod model_file;
-pub mod output;
 pub mod physics;
-pub mod recordings;
 pub mod stop;
+
+pub use recordings;
+pub use recordings::{error, input, output};

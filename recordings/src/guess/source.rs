@@ -1,0 +1,310 @@
+//! Tables of a source, with what their values show.
+
+use std::path::{Path, PathBuf};
+
+use crate::columns::Axis;
+use crate::csv_table::{CsvReader, CsvTable, number};
+use crate::error::{DataError, ErrorKind, Location};
+use crate::guess::names::{ColumnName, Group, Quantity};
+use crate::mcap::{self, Join, Topic, Undecodable};
+use crate::units::find_unit;
+
+/// Rows of each table that are examined.
+pub const MAX_ROWS: u64 = 100_000;
+/// Rows from which the step of a clock is taken.
+const STEP_ROWS: usize = 1000;
+/// Values that loggers write where nothing was measured.
+const MISSING_MARKERS: [f64; 5] = [-1.0, -99.0, -999.0, -9999.0, -32768.0];
+/// Share of the rows from which such a value is proposed as a marker.
+const MISSING_SHARE: f64 = 0.01;
+
+/// A column of a source with its values.
+#[derive(Clone, Debug)]
+pub struct SourceColumn {
+    pub name: String,
+    pub stated: ColumnName,
+    pub quantity: Quantity,
+    /// Cells with a number, and with text.
+    numbers: u64,
+    texts: u64,
+    pub min: f64,
+    pub max: f64,
+    pub first: f64,
+    pub last: f64,
+    pub is_whole: bool,
+    pub is_ascending: bool,
+    /// Steps of the first rows.
+    pub steps: Vec<f64>,
+    /// Number of rows with each of [`MISSING_MARKERS`], and the minimum of all other values.
+    markers: [u64; MISSING_MARKERS.len()],
+    min_unmarked: f64,
+}
+
+/// A table of a source.
+#[derive(Clone, Debug)]
+pub struct SourceTable {
+    pub path: PathBuf,
+    pub is_in_folder: bool,
+    /// How the table is read, where it has another format than those of this project.
+    pub notes: Vec<String>,
+    pub rows: u64,
+    pub columns: Vec<SourceColumn>,
+}
+
+/// Tables of a file, or of a folder; those of a bag with the clocks of the `first` one, where there is one.
+pub fn read_source(source: &Path, first: &[SourceTable]) -> Result<Vec<SourceTable>, DataError> {
+    if mcap::is_bag(source) {
+        return read_bag(source, first);
+    }
+    if !source.is_dir() {
+        return Ok(vec![read_table(source, false)?]);
+    }
+    let unreadable = |error| ErrorKind::Unreadable(error).at(Location::file(source));
+    let mut paths = Vec::new();
+    for entry in std::fs::read_dir(source).map_err(unreadable)? {
+        let path = entry.map_err(unreadable)?.path();
+        let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
+        if name.ends_with(".csv") || name.ends_with(".csv.gz") {
+            paths.push(path);
+        }
+    }
+    if paths.is_empty() {
+        let advice = "give the folder that holds the tables of one recording, or the files";
+        return Err(
+            ErrorKind::bad_value("a folder without .csv files", advice).at(Location::file(source))
+        );
+    }
+    paths.sort();
+    paths.iter().map(|path| read_table(path, true)).collect()
+}
+
+/// Share of the messages of the fastest topic from which a topic is as fast: bags begin and end between messages.
+const AS_FAST: f64 = 0.9;
+
+/// Tables of a bag: of the topics with a force, and of the others. Each has the clock of a table of the `first` bag, or of the
+/// fastest topic, the first of these by name.
+fn read_bag(path: &Path, first: &[SourceTable]) -> Result<Vec<SourceTable>, DataError> {
+    let mut topics = mcap::read_topics(path, |_| true, Undecodable::Skip)?.topics;
+    topics.sort_by(|a, b| a.name.cmp(&b.name));
+    let has = |topic: &Topic, quantity: Quantity| {
+        let mut names = topic.columns.iter().map(|column| topic.column_name(&column.path));
+        names.any(|name| ColumnName::of(&name).quantity == quantity)
+    };
+    let (force, other): (Vec<Topic>, Vec<Topic>) =
+        topics.into_iter().partition(|topic| has(topic, Quantity::Force));
+    let mut tables = Vec::new();
+    for (topics, quantity, join) in
+        [(other, Quantity::Field, Join::EveryRow), (force, Quantity::Force, Join::Once)]
+    {
+        let clock = mcap::common_clock(&topics);
+        let of_quantity = || topics.iter().filter(|topic| has(topic, quantity));
+        let is_known = |topic: &&Topic| {
+            let mut clocks = first.iter().filter_map(|table| table.columns.first());
+            clocks.any(|column| column.name == topic.column_name(clock))
+        };
+        let most = of_quantity().map(Topic::messages).max().unwrap_or(0);
+        let is_fast = |topic: &&Topic| topic.messages() as f64 >= AS_FAST * most as f64;
+        let Some(timed) = of_quantity().find(is_known).or_else(|| of_quantity().find(is_fast))
+        else {
+            continue;
+        };
+        let clock_name = timed.column_name(clock);
+        let fields = topics.iter().flat_map(|topic| {
+            let wanted = topic.fields().filter(|column| !column.path.contains("covariance"));
+            wanted.map(|column| (topic.column_name(&column.path), topic.unit(&column.path)))
+        });
+        let fields: Vec<(String, Option<String>)> =
+            [(clock_name.clone(), timed.unit(clock))].into_iter().chain(fields).collect();
+        let names: Vec<_> = fields.iter().map(|(name, _)| (name.as_str(), None)).collect();
+        let text = mcap::join_topics(path, &topics, &clock_name, &names, join)?.text;
+        let header = CsvTable::from_text(path, text.clone())?.header().to_vec();
+        let mut table = read_rows(path, false, header, CsvReader::from_text(path, text))?;
+        for (column, (_, unit)) in table.columns.iter_mut().zip(&fields) {
+            if let Some(unit) = unit.as_deref().and_then(find_unit) {
+                column.stated.unit = Some(unit);
+                column.quantity = Quantity::of_unit(unit);
+            }
+        }
+        tables.push(table);
+    }
+    if tables.is_empty() {
+        let advice = "import the tables of its topics as CSV, or write the mapping yourself (`cargo magpie import --help`)";
+        return Err(ErrorKind::bad_value("a bag without numbers that were recognised", advice)
+            .at(Location::file(path)));
+    }
+    Ok(tables)
+}
+
+fn read_table(path: &Path, is_in_folder: bool) -> Result<SourceTable, DataError> {
+    let table = CsvTable::open_foreign(path)?;
+    let notes = table.format().notes();
+    let header = table.header().to_vec();
+    let table = read_rows(path, is_in_folder, header, CsvReader::open_foreign(path)?)?;
+    Ok(SourceTable { notes, ..table })
+}
+
+fn read_rows(
+    path: &Path,
+    is_in_folder: bool,
+    header: Vec<String>,
+    mut reader: CsvReader,
+) -> Result<SourceTable, DataError> {
+    let mut record = csv::ByteRecord::new();
+    reader.read(&mut record)?;
+    let mut columns: Vec<SourceColumn> = header.into_iter().map(SourceColumn::new).collect();
+    let mut rows = 0;
+    while rows < MAX_ROWS && reader.read(&mut record)? {
+        rows += 1;
+        for (column, cell) in columns.iter_mut().zip(&record) {
+            column.add(cell);
+        }
+    }
+    if rows == 0 {
+        return Err(ErrorKind::NoRows.at(Location::file(path)));
+    }
+    // A torque of a force sensor is called mx like a field.
+    let has_other_field = columns.iter().any(|column| {
+        column.quantity == Quantity::Field
+            && !column.stated.words.iter().any(|word| is_moment(word))
+    });
+    let has_forces = columns.iter().filter(|column| column.quantity == Quantity::Force).count() > 1;
+    for column in &mut columns {
+        // A clock increases; the same letter is a temperature.
+        if column.quantity == Quantity::Time && column.stated.words == ["t"] && !column.is_ascending
+        {
+            column.quantity = Quantity::Temperature;
+        }
+        let is_moment =
+            column.stated.unit.is_none() && column.stated.words.iter().any(|word| is_moment(word));
+        if has_other_field && has_forces && is_moment && column.quantity == Quantity::Field {
+            column.quantity = Quantity::Unsupported;
+        }
+    }
+    Ok(SourceTable { path: path.to_path_buf(), is_in_folder, notes: Vec::new(), rows, columns })
+}
+
+fn is_moment(word: &str) -> bool {
+    matches!(word, "mx" | "my" | "mz")
+}
+
+impl SourceColumn {
+    fn new(name: String) -> Self {
+        let stated = ColumnName::of(&name);
+        Self {
+            quantity: stated.quantity,
+            name,
+            stated,
+            numbers: 0,
+            texts: 0,
+            min: f64::INFINITY,
+            max: f64::NEG_INFINITY,
+            first: f64::NAN,
+            last: f64::NAN,
+            is_whole: true,
+            is_ascending: true,
+            steps: Vec::new(),
+            markers: [0; MISSING_MARKERS.len()],
+            min_unmarked: f64::INFINITY,
+        }
+    }
+
+    fn add(&mut self, cell: &[u8]) {
+        let Some(value) = number(cell) else {
+            self.texts += u64::from(!cell.trim_ascii().is_empty());
+            return;
+        };
+        if !value.is_finite() {
+            return;
+        }
+        self.numbers += 1;
+        if self.numbers == 1 {
+            self.first = value;
+        } else {
+            self.is_ascending &= value > self.last;
+            if self.steps.len() < STEP_ROWS {
+                self.steps.push(value - self.last);
+            }
+        }
+        self.last = value;
+        self.min = self.min.min(value);
+        self.max = self.max.max(value);
+        self.is_whole &= value.fract() == 0.0;
+        match MISSING_MARKERS.iter().position(|marker| *marker == value) {
+            Some(index) => self.markers[index] += 1,
+            None => self.min_unmarked = self.min_unmarked.min(value),
+        }
+    }
+
+    /// True if every cell is a number, empty, or not finite.
+    pub fn is_numeric(&self) -> bool {
+        self.numbers > 0 && self.texts == 0
+    }
+
+    pub fn is_constant(&self) -> bool {
+        self.min == self.max
+    }
+
+    /// Marker of missing measurements: a lone value below all others.
+    pub fn missing(&self) -> Option<f64> {
+        let is_marker = |(marker, count): (&f64, &u64)| {
+            *count as f64 >= MISSING_SHARE * self.numbers as f64
+                && *marker < self.min_unmarked
+                && self.min_unmarked.is_finite()
+        };
+        let counted = MISSING_MARKERS.iter().zip(&self.markers);
+        counted
+            .filter(|(_, count)| **count > 0)
+            .find(|pair| is_marker(*pair))
+            .map(|(marker, _)| *marker)
+    }
+
+    /// Minimum and maximum without markers of missing measurements.
+    pub fn range(&self) -> (f64, f64) {
+        (if self.missing().is_some() { self.min_unmarked } else { self.min }, self.max)
+    }
+
+    pub fn magnitude(&self) -> f64 {
+        let (min, max) = self.range();
+        min.abs().max(max.abs())
+    }
+}
+
+/// The table with the most columns of a quantity.
+pub fn table_with(tables: &[SourceTable], quantity: Quantity) -> Option<&SourceTable> {
+    let count = |table: &SourceTable| {
+        table
+            .columns
+            .iter()
+            .filter(|column| column.quantity == quantity && column.is_numeric())
+            .count()
+    };
+    let most = tables.iter().rev().max_by_key(|table| count(table))?;
+    (count(most) > 0).then_some(most)
+}
+
+pub fn numeric(table: &SourceTable, quantity: Quantity) -> impl Iterator<Item = &SourceColumn> {
+    table.columns.iter().filter(move |column| column.quantity == quantity && column.is_numeric())
+}
+
+/// Groups of the columns: by number where all else is equal, in the order of the table otherwise.
+pub fn column_groups<'a>(columns: impl Iterator<Item = &'a SourceColumn>) -> Vec<&'a Group> {
+    let mut groups = Vec::new();
+    for column in columns {
+        if !groups.contains(&&column.stated.group) {
+            groups.push(&column.stated.group);
+        }
+    }
+    if groups.windows(2).all(|pair| pair[0].0 == pair[1].0) {
+        groups.sort_by_key(|group| group.1);
+    }
+    groups
+}
+
+pub fn axis_of(column: &SourceColumn) -> Option<Axis> {
+    match column.stated.axis? {
+        'x' => Some(Axis::X),
+        'y' => Some(Axis::Y),
+        'z' => Some(Axis::Z),
+        _ => None,
+    }
+}
