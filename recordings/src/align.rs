@@ -119,12 +119,12 @@ impl Aligner {
     }
 
     /// Number of stored values.
-    pub fn stored_values(&self) -> usize {
+    pub(crate) fn stored_values(&self) -> usize {
         self.samples.len() * self.samples.front().map_or(0, |sample| sample.values.len())
     }
 
     /// Mean over the window around `centre_us`, of no width the interpolated value there; calls must be in ascending order of time.
-    pub fn mean_around(&mut self, centre_us: f64) -> Window {
+    pub(crate) fn mean_around(&mut self, centre_us: f64) -> Window {
         let (from, to) = (centre_us - self.half_width_us, centre_us + self.half_width_us);
         while self.samples.get(1).is_some_and(|second| second.t_us <= from) {
             self.samples.pop_front();

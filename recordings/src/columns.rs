@@ -165,7 +165,7 @@ pub const COVARIATES: &[&str] = &[
 pub const STATOR_CURRENTS: [&str; 2] = ["motor_alpha_a", "motor_beta_a"];
 
 /// True for angles, which wrap at a full turn.
-pub fn is_angle(column: &str) -> bool {
+pub(crate) fn is_angle(column: &str) -> bool {
     column.ends_with("_rad")
 }
 

@@ -99,7 +99,7 @@ impl CsvReader {
     }
 
     /// Reads a table from its text; `path` is that of its source.
-    pub fn from_text(path: &Path, text: Vec<u8>) -> Self {
+    pub(crate) fn from_text(path: &Path, text: Vec<u8>) -> Self {
         let bytes = BoundedReader::new(Box::new(Cursor::new(text)), None);
         Self::new(path, bytes, TableFormat::default())
     }
@@ -255,7 +255,7 @@ impl CsvTable {
     }
 
     /// Opens one file, decompressing it where its name ends in `.gz`.
-    pub fn open_file(path: &Path) -> Result<Self, DataError> {
+    pub(crate) fn open_file(path: &Path) -> Result<Self, DataError> {
         Self::new(path, CsvReader::open(path)?)
     }
 
@@ -265,7 +265,7 @@ impl CsvTable {
     }
 
     /// Reads a table from its text; `path` is that of its source.
-    pub fn from_text(path: &Path, text: Vec<u8>) -> Result<Self, DataError> {
+    pub(crate) fn from_text(path: &Path, text: Vec<u8>) -> Result<Self, DataError> {
         Self::new(path, CsvReader::from_text(path, text))
     }
 
@@ -328,12 +328,12 @@ impl CsvTable {
     }
 
     /// Location of a column in the header.
-    pub fn header_location(&self, column: &str) -> Location {
+    pub(crate) fn header_location(&self, column: &str) -> Location {
         Location::file(&self.path).line(self.header_line).column(column)
     }
 
     /// Location of a cell.
-    pub fn cell_location(&self, line: u64, column: usize) -> Location {
+    pub(crate) fn cell_location(&self, line: u64, column: usize) -> Location {
         let place = Location::file(&self.path).line(line);
         match self.header.get(column) {
             Some(name) => place.column(name.as_str()),
@@ -348,14 +348,14 @@ impl CsvTable {
     }
 
     /// Sets the rule of each column of a table without a clock.
-    pub fn set_untimed_rules(&mut self, rules: Vec<CellRule>) {
+    pub(crate) fn set_untimed_rules(&mut self, rules: Vec<CellRule>) {
         self.time_column = None;
         self.rules = rules;
     }
 
     /// Checks every number against [`MAX_MAGNITUDE`] and the clock against [`MAX_TIME_US`]; without it the units of the columns
     /// are unknown.
-    pub fn limit_magnitudes(&mut self) {
+    pub(crate) fn limit_magnitudes(&mut self) {
         self.has_limits = true;
     }
 
@@ -379,7 +379,7 @@ impl CsvTable {
     }
 
     /// Times of the rows that [`CsvTable::median_period`] has buffered; none of a table without a clock.
-    pub fn buffered_times(&self) -> impl Iterator<Item = f64> {
+    pub(crate) fn buffered_times(&self) -> impl Iterator<Item = f64> {
         let column = self.time_column;
         self.buffered.iter().filter_map(move |row| row.cells.get(column?).copied())
     }
@@ -419,7 +419,7 @@ impl CsvTable {
     }
 
     /// That the last line was cut off, once the table was read.
-    pub fn cut_notice(&self) -> Option<Notice> {
+    pub(crate) fn cut_notice(&self) -> Option<Notice> {
         self.cut_line.map(|line| Notice {
             location: Location::file(&self.path).line(line),
             message: "the last line was cut off, as when a logger is killed: the table was read up to the line before".to_owned(),

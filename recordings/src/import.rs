@@ -178,7 +178,6 @@ struct SourceTable {
     attitude: Option<[usize; 4]>,
 }
 
-/// Clock of a source.
 #[derive(Clone, Copy)]
 enum SourceClock {
     /// Index of its column, and its unit in microseconds.

@@ -17,7 +17,7 @@ const GIB: u64 = 1 << 30;
 /// Maximum length of one row of a table in bytes. A row of eight sensors has 300; a reader holds at most a thousand rows.
 pub const MAX_ROW_BYTES: u64 = 64 * KIB;
 /// Maximum number of columns of a table. A recording of four sensors has 26; loggers of robots write some hundreds.
-pub const MAX_COLUMNS: usize = 1024;
+pub(crate) const MAX_COLUMNS: usize = 1024;
 /// Maximum length of a table in bytes after decompression: ten hours at 1 kHz with six times the columns of four sensors.
 pub const MAX_TABLE_BYTES: u64 = 32 * GIB;
 /// Maximum length of a table after decompression relative to the file. Measurements reach 3, a constant reference without
@@ -102,7 +102,7 @@ pub fn check_plausible(key: &str, value: f64) -> Result<(), ErrorKind> {
 }
 
 /// Checks that one more row of `per_row` values keeps a recording of `rows` rows within [`MAX_RECORDING_VALUES`].
-pub fn check_recording_values(rows: usize, per_row: usize) -> Result<(), ErrorKind> {
+pub(crate) fn check_recording_values(rows: usize, per_row: usize) -> Result<(), ErrorKind> {
     if (rows + 1).saturating_mul(per_row) > MAX_RECORDING_VALUES {
         return Err(ErrorKind::TooManyValues { max: MAX_RECORDING_VALUES });
     }
@@ -110,7 +110,7 @@ pub fn check_recording_values(rows: usize, per_row: usize) -> Result<(), ErrorKi
 }
 
 /// Checks the number of values in the window of a reference row against [`MAX_WINDOW_VALUES`].
-pub fn check_window_values(values: usize) -> Result<(), ErrorKind> {
+pub(crate) fn check_window_values(values: usize) -> Result<(), ErrorKind> {
     if values > MAX_WINDOW_VALUES {
         return Err(ErrorKind::WindowTooLong { max: MAX_WINDOW_VALUES });
     }
@@ -183,7 +183,7 @@ pub fn read_text(path: &Path) -> Result<String, DataError> {
 }
 
 /// Maximum length after decompression of a file of this length, both in bytes.
-pub fn max_decompressed(compressed: u64) -> u64 {
+pub(crate) fn max_decompressed(compressed: u64) -> u64 {
     compressed.saturating_mul(MAX_RATIO).saturating_add(RATIO_FREE_BYTES)
 }
 
@@ -226,12 +226,12 @@ impl BoundedReader {
     }
 
     /// Whether lines end in a carriage return and a line feed, as far as they were read.
-    pub fn is_crlf(&self) -> bool {
+    pub(crate) fn is_crlf(&self) -> bool {
         self.is_crlf == Some(true)
     }
 
     /// Whether the bytes that were read end with a line.
-    pub fn is_at_line_end(&self) -> bool {
+    pub(crate) fn is_at_line_end(&self) -> bool {
         self.last == b'\n'
     }
 
@@ -246,7 +246,7 @@ impl BoundedReader {
     }
 
     /// Begins a row; up to `buffered` bytes may be read ahead.
-    pub fn start_row(&mut self, buffered: u64) {
+    pub(crate) fn start_row(&mut self, buffered: u64) {
         self.row_left = MAX_ROW_BYTES + buffered;
     }
 }

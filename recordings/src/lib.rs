@@ -12,9 +12,9 @@
 //! - [`noise_estimate`]: noise of a recording as its estimators give it.
 //! - [`noise_model`]: these estimators: noise of the aligned rows, and whether their order carries time.
 //! - `repeated_settings`: pure error of a table of settings.
-//! - [`smooth_field`]: the smooth that removes the motion of the load from that estimate.
+//! - `smooth_field`: the smooth that removes the motion of the load from that estimate.
 //! - [`smoothing`]: local regression over rows, which excludes the reference's noise.
-//! - [`table_format`]: how a foreign table writes its values.
+//! - `table_format`: how a foreign table writes its values.
 //! - [`align`]: resampling of the board's stream onto the reference clock.
 //! - [`stream`]: rows of one recording, on the reference clock or at the board's rate.
 //! - [`recording`]: one recording in memory.
@@ -47,10 +47,10 @@ pub mod output;
 mod readers;
 pub mod recording;
 mod repeated_settings;
-pub mod smooth_field;
+mod smooth_field;
 pub mod smoothing;
 pub mod stream;
-pub mod table_format;
+mod table_format;
 pub mod units;
 pub mod windows;
 

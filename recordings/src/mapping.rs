@@ -290,7 +290,10 @@ impl QuaternionColumns {
 
 /// Roll, pitch and yaw in rad of a quaternion of any norm (scalar part first). Roll and yaw are unwrapped
 /// relative to `last`, since rows are averaged later.
-pub fn euler_angles([w, x, y, z]: [f64; 4], last: Option<[f64; 3]>) -> Result<[f64; 3], ErrorKind> {
+pub(crate) fn euler_angles(
+    [w, x, y, z]: [f64; 4],
+    last: Option<[f64; 3]>,
+) -> Result<[f64; 3], ErrorKind> {
     let rotation = UnitQuaternion::try_new(Quaternion::new(w, x, y, z), MIN_NORM);
     let Some(rotation) = rotation else {
         let advice = "it is not a rotation: remove the rows before the first valid attitude";

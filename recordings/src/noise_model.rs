@@ -6,8 +6,6 @@
 //! estimation after a partial fit, Hall, Kay and Titterington 1990), and the variance of the differences is split into the noise of
 //! the field, of the forces through dB/dF, and of the reference's clock through dB/dF dF/dt.
 
-use std::collections::BTreeMap;
-
 use nalgebra::{DMatrix, DVector, Vector3};
 
 use crate::Recording;
@@ -395,7 +393,7 @@ impl NoiseEstimate {
 
     /// Estimates the noise of recordings of few rows again, by a smooth through all recordings of a campaign: one of few terms does not
     /// follow the field, and what it leaves grows with the rate of the load, as by jitter.
-    pub fn estimate_together(recordings: &mut [Recording]) {
+    pub(crate) fn estimate_together(recordings: &mut [Recording]) {
         let is_short = |one: &Recording| {
             let is_by_differences = !one.noise.floors_g.is_empty()
                 && matches!(
@@ -496,7 +494,7 @@ fn is_shuffled(recording: &Recording, smooth: &SmoothField) -> bool {
 }
 
 /// Mean square of successive differences over twice the variance; `None` for a constant.
-pub fn von_neumann(values: &[f64]) -> Option<f64> {
+pub(crate) fn von_neumann(values: &[f64]) -> Option<f64> {
     let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
     let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
     let steps: f64 = values.windows(2).map(|pair| (pair[1] - pair[0]).powi(2)).sum();

@@ -55,7 +55,7 @@ pub fn write_new(path: &Path, bytes: &[u8]) -> Result<(), DataError> {
 ///
 /// # Errors
 /// As [`write_new`].
-pub fn begin_new(path: &Path, bytes: &[u8]) -> Result<File, DataError> {
+pub(crate) fn begin_new(path: &Path, bytes: &[u8]) -> Result<File, DataError> {
     write_new_with(path, bytes, SHARED)
 }
 
@@ -257,7 +257,7 @@ pub fn check_absent(target: &Path) -> Result<(), DataError> {
 }
 
 /// Folder of a file.
-pub fn folder_of(path: &Path) -> &Path {
+pub(crate) fn folder_of(path: &Path) -> &Path {
     match path.parent() {
         Some(folder) if !folder.as_os_str().is_empty() => folder,
         _ => Path::new("."),

@@ -23,7 +23,6 @@ const DATA_ROWS: usize = 3;
 /// Forms of a date with a time of day besides ISO 8601. Where day and month cannot be distinguished, the cell stays text.
 const DATE_FORMS: [&str; 2] = ["%d.%m.%Y %H:%M:%S%.f", "%Y/%m/%d %H:%M:%S%.f"];
 
-/// Format of a table.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TableFormat {
     /// Between cells.

@@ -75,7 +75,7 @@ pub fn find_unit(name: &str) -> Option<Unit> {
 }
 
 /// The unit with this symbol or word as people write it, such as `sec` or `Gauss`, with micro and degree signs.
-pub fn unit_of_text(text: &str) -> Option<Unit> {
+pub(crate) fn unit_of_text(text: &str) -> Option<Unit> {
     let symbol = text.replace(['\u{b5}', '\u{3bc}'], "u").replace('\u{b0}', "deg");
     let name = match symbol.to_lowercase().as_str() {
         "sec" | "secs" | "second" | "seconds" => "s",
@@ -112,7 +112,7 @@ pub fn symbol(canonical: &str) -> Option<&'static str> {
 }
 
 /// Unit suffixes of column names, sorted.
-pub fn column_units() -> Vec<&'static str> {
+pub(crate) fn column_units() -> Vec<&'static str> {
     let mut suffixes: Vec<_> = UNITS.iter().map(|unit| unit.canonical).collect();
     suffixes.sort_unstable();
     suffixes.dedup();

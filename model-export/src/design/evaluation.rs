@@ -102,13 +102,13 @@ impl DesignEvaluation {
     }
 
     /// The axis with the smaller range.
-    pub fn limiting_axis(&self) -> &AxisEvaluation {
+    pub(crate) fn limiting_axis(&self) -> &AxisEvaluation {
         let [x, z] = &self.axes;
         if z.range_n() < x.range_n() { z } else { x }
     }
 
     /// The axis with the lower sensitivity.
-    pub fn least_sensitive_axis(&self) -> &AxisEvaluation {
+    pub(crate) fn least_sensitive_axis(&self) -> &AxisEvaluation {
         let [x, z] = &self.axes;
         if z.g_per_n < x.g_per_n { z } else { x }
     }

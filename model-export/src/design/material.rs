@@ -38,7 +38,7 @@ pub struct Strength {
 
 impl Strength {
     /// Fully reversed stress amplitude in Pa for a life of `cycles`, at most yield.
-    pub fn fatigue_pa(&self, cycles: f64) -> f64 {
+    pub(crate) fn fatigue_pa(&self, cycles: f64) -> f64 {
         let basquin_pa = self.fatigue_coefficient_pa * (2.0 * cycles).powf(self.fatigue_exponent);
         basquin_pa.min(self.yield_pa)
     }

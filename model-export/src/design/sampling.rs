@@ -94,7 +94,7 @@ fn levels(count: u32, fixed: [Option<u32>; DIMENSIONS]) -> [u32; DIMENSIONS] {
 }
 
 /// Maximum number of dimensions.
-pub const DIMENSIONS: usize = 8;
+pub(crate) const DIMENSIONS: usize = 8;
 
 /// Bits of a coordinate.
 const BITS: usize = 32;
@@ -112,7 +112,7 @@ const POLYNOMIALS: [(usize, u32, &[u32]); DIMENSIONS - 1] = [
 ];
 
 /// Point by index in the unit box, starting at the centre: the origin is skipped.
-pub fn sobol_point(number: u32) -> [f64; DIMENSIONS] {
+pub(crate) fn sobol_point(number: u32) -> [f64; DIMENSIONS] {
     // Offset by half a bit, away from both ends.
     let half = 0.5 * 2.0_f64.powi(-(BITS as i32));
     coordinates(number + 1).map(|bits| f64::from(bits) * 2.0 * half + half)

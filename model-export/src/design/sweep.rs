@@ -74,7 +74,7 @@ impl DesignSpace {
     }
 
     /// Design of these sizes.
-    pub fn sized(
+    pub(crate) fn sized(
         &self,
         base: &SensorDesign,
         sizes_mm: [f64; SIZES.len()],
@@ -209,7 +209,7 @@ pub fn pareto_front(candidates: &[Candidate]) -> Vec<usize> {
 }
 
 /// Indices of non-dominated points. All goals are maximised.
-pub fn non_dominated<const N: usize>(goals: &[[f64; N]]) -> Vec<usize> {
+pub(crate) fn non_dominated<const N: usize>(goals: &[[f64; N]]) -> Vec<usize> {
     let mut order: Vec<usize> = (0..goals.len()).collect();
     order.retain(|i| goals[*i].iter().all(|goal| goal.is_finite()));
     // Sorted: later points cannot dominate, except equals in the first goal.

@@ -98,7 +98,7 @@ impl ExcitationSeries {
     ///
     /// A shift or filter reduces the contribution of a row's own noise. Added to the reading, it would average the
     /// reference's noise and reduce the residual without physical cause; that part is subtracted.
-    pub fn operator_increment(
+    pub(crate) fn operator_increment(
         &self,
         axis: usize,
         operator: impl Fn(&[f64], &[f64], &[f64]) -> Vec<f64>,
@@ -138,7 +138,7 @@ impl ExcitationSeries {
 
     /// Rows at which the smoothed force along an axis (0 lateral, 1 longitudinal) turns by more than a twentieth of its amplitude; at
     /// most `most` of them, those of the larger turns.
-    pub fn turning_points(&self, axis: usize, most: usize) -> Vec<usize> {
+    pub(crate) fn turning_points(&self, axis: usize, most: usize) -> Vec<usize> {
         let force_n = || self.smooth_n.iter().map(|force| force[axis]);
         let mean = force_n().sum::<f64>() / self.len().max(1) as f64;
         let squares: f64 = force_n().map(|force| (force - mean).powi(2)).sum();

@@ -7,7 +7,7 @@
 //! - [`excitation`]: forces and covariates of one sensor over a recording.
 //! - [`history`]: permanent changes of a gripper over a campaign.
 //! - [`operators`]: stop operator, low pass, delay.
-//! - [`state_series`]: stages of the chain from force to field, and states row by row.
+//! - `state_series`: stages of the chain from force to field, and states row by row.
 //! - `chain`: from forces to states, effect by effect ([`EffectChain`]).
 //! - [`expression`]: user-defined effects, written as formulas.
 //!
@@ -22,7 +22,7 @@ pub mod expression;
 pub mod history;
 pub mod operators;
 pub mod parameter;
-pub mod state_series;
+mod state_series;
 pub mod term;
 #[cfg(test)]
 mod tests;

@@ -1,12 +1,12 @@
 //! Operators with memory over non-uniformly sampled rows: stop operator, low pass, delay.
 
 /// Stop operator (Prandtl element) with `threshold`, normalised to -1 to 1; initial state `start`.
-pub fn stop_operator(values: &[f64], threshold: f64, start: f64) -> Vec<f64> {
+pub(crate) fn stop_operator(values: &[f64], threshold: f64, start: f64) -> Vec<f64> {
     stop_operators(values, [(1.0, threshold)], start)
 }
 
 /// Weighted sum of parallel stop operators (weight, threshold), in one pass.
-pub fn stop_operators<const N: usize>(
+pub(crate) fn stop_operators<const N: usize>(
     values: &[f64],
     elements: [(f64, f64); N],
     start: f64,
@@ -37,7 +37,12 @@ pub fn low_pass(time_s: &[f64], values: &[f64], tau_s: f64) -> Vec<f64> {
 }
 
 /// The same, exact for cubic Hermite interpolation with `rates`: rows of a sample are further apart than a load's changes.
-pub fn low_pass_with_rates(time_s: &[f64], values: &[f64], rates: &[f64], tau_s: f64) -> Vec<f64> {
+pub(crate) fn low_pass_with_rates(
+    time_s: &[f64],
+    values: &[f64],
+    rates: &[f64],
+    tau_s: f64,
+) -> Vec<f64> {
     low_pass_of(time_s, values, tau_s, |row, dt| {
         let rise = values[row + 1] - values[row];
         let [from, to] = [rates[row] * dt, rates[row + 1] * dt];

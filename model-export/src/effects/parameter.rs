@@ -106,13 +106,13 @@ impl EffectParameter {
     }
 
     /// Selected by cross-validation where there are several recordings.
-    pub const fn cross_validated(mut self) -> Self {
+    pub(crate) const fn cross_validated(mut self) -> Self {
         self.cross_validated = true;
         self
     }
 
     /// Limited to half the range of the load.
-    pub const fn limited_to_half_range(mut self) -> Self {
+    pub(crate) const fn limited_to_half_range(mut self) -> Self {
         self.limited_to_half_range = true;
         self
     }
@@ -126,7 +126,7 @@ impl EffectParameter {
     }
 
     /// One value for each recording except the first.
-    pub const fn each_later_recording(mut self) -> Self {
+    pub(crate) const fn each_later_recording(mut self) -> Self {
         self.scope = ParameterScope::EachLaterRecording;
         self
     }
@@ -201,7 +201,7 @@ impl MagnitudeSpec {
     };
 
     /// Euclidean norm of the coefficients without prior knowledge of its range.
-    pub const fn norm_without_prior(description: &'static str, unit: &'static str) -> Self {
+    pub(crate) const fn norm_without_prior(description: &'static str, unit: &'static str) -> Self {
         Self { description, unit, aggregation: Aggregation::Norm, ..Self::DEFAULT }
     }
 }

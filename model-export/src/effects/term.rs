@@ -60,7 +60,7 @@ impl EffectTerm {
     }
 
     /// Whether it has a state at the start of each recording.
-    pub fn has_initial_state(&self) -> bool {
+    pub(crate) fn has_initial_state(&self) -> bool {
         self.parameters(1).iter().any(|parameter| parameter.kind == ParameterKind::InitialState)
     }
 
@@ -154,7 +154,7 @@ impl EffectTerm {
 
     /// True where its action on a row depends on that row alone: it has no memory, and no later effect
     /// reads what it changes.
-    pub fn is_pointwise(&self) -> bool {
+    pub(crate) fn is_pointwise(&self) -> bool {
         let on_force_or_opening =
             self.stage() <= EffectStage::Flexure || self.stage() == EffectStage::Opening;
         let has_memory = match self {
@@ -165,7 +165,7 @@ impl EffectTerm {
     }
 
     /// Whether it reads or scales what `earlier`, an effect before it in the chain, changes. A formula depends on covariates alone.
-    pub fn depends_on(&self, earlier: &Self) -> bool {
+    pub(crate) fn depends_on(&self, earlier: &Self) -> bool {
         self.effect().is_some_and(|effect| effect.reads.contains(&earlier.stage()))
     }
 
@@ -197,7 +197,7 @@ impl EffectTerm {
     }
 
     /// True where it models the ambient field; the remaining offset is then the sensor's alone.
-    pub fn includes_ambient_field(&self) -> bool {
+    pub(crate) fn includes_ambient_field(&self) -> bool {
         matches!(self, Self::Catalogue(effect) if effect.signatures.contains(&Signature::AmbientField))
     }
 

@@ -37,7 +37,7 @@ impl AddAssign<&Block> for Block {
 }
 
 /// Adds the normal equations of a block to those of all parameters.
-pub fn add_normal(sum: &mut DMatrix<f64>, block: &Block) {
+pub(crate) fn add_normal(sum: &mut DMatrix<f64>, block: &Block) {
     for (&column, from) in block.acting.iter().zip(block.normal.column_iter()) {
         let mut to = sum.column_mut(column);
         block.acting.iter().zip(from.iter()).for_each(|(&row, value)| to[row] += value);
@@ -82,7 +82,7 @@ const MIN_BLOCK_S: f64 = 1.0;
 
 /// Block length in seconds, and the longest correlation time of the residuals (by recording and axis) in seconds. A block is three
 /// times as long, at least `MIN_BLOCK_S` and what leaves `MAX_BLOCKS` blocks, at most what leaves `MIN_BLOCKS` blocks.
-pub fn block_length_s(
+pub(crate) fn block_length_s(
     rows: &SensorRows,
     residuals: impl Fn(usize, usize) -> Vec<f64>,
 ) -> (f64, f64) {
@@ -102,7 +102,7 @@ pub fn block_length_s(
 }
 
 /// Jackknife standard error of an estimate from the estimates without each part of the data.
-pub fn jackknife(values: &[f64]) -> f64 {
+pub(crate) fn jackknife(values: &[f64]) -> f64 {
     let count = values.len().max(1) as f64;
     let mean = values.iter().sum::<f64>() / count;
     let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
@@ -110,7 +110,7 @@ pub fn jackknife(values: &[f64]) -> f64 {
 }
 
 /// Covariance of the sum of scores, autocorrelation included.
-pub fn score_covariance(blocks: &[Block]) -> DMatrix<f64> {
+pub(crate) fn score_covariance(blocks: &[Block]) -> DMatrix<f64> {
     let size = blocks.first().map_or(0, |block| block.score.len());
     let count = blocks.len() as f64;
     let sum = blocks.iter().fold(DVector::zeros(size), |sum, block| sum + &block.score);
@@ -133,7 +133,12 @@ const DRAWS_AT_ONCE: usize = 32;
 ///
 /// The normal equations of a draw are the sum of those of the blocks, each as often as it was drawn: over all draws, a product of
 /// two matrices.
-pub fn bootstrap_covariance(blocks: &[Block], known: f64, draws: usize, seed: u64) -> DMatrix<f64> {
+pub(crate) fn bootstrap_covariance(
+    blocks: &[Block],
+    known: f64,
+    draws: usize,
+    seed: u64,
+) -> DMatrix<f64> {
     let size = blocks.first().map_or(0, |block| block.score.len());
     let of_blocks = |value: &dyn Fn(&Block) -> f64| blocks.iter().map(value).collect::<Vec<f64>>();
     let triangle: Vec<(usize, usize)> =

@@ -78,7 +78,7 @@ impl FitSetup {
     }
 
     /// The same with known mountings of the sensors; those of others are found from the recordings.
-    pub fn cylinder_mounted(
+    pub(crate) fn cylinder_mounted(
         campaign: &Campaign,
         known: impl Fn(u32) -> Option<SensorMounting> + Sync,
     ) -> Result<Self, FitError> {

@@ -191,7 +191,7 @@ fn common_fold(rows: &SensorRows, fold: usize, block_s: f64, by_clock: bool) -> 
 }
 
 /// Row ranges of about `length_s` seconds each.
-pub fn time_slices(time_s: &[f64], length_s: f64) -> Vec<Range<usize>> {
+pub(crate) fn time_slices(time_s: &[f64], length_s: f64) -> Vec<Range<usize>> {
     let (Some(first), Some(last)) = (time_s.first(), time_s.last()) else {
         return Vec::new();
     };
@@ -341,7 +341,7 @@ pub fn noise_variance(
 
 /// Axis with the largest component of the normal of the plane of both forces' fields, and the distance of a
 /// residual from that plane along it. `None` where the forces move the field along one line.
-pub fn off_plane_residual(
+pub(crate) fn off_plane_residual(
     per_newton: &[Vector3<f64>],
     residual: Vector3<f64>,
 ) -> Option<(usize, f64)> {

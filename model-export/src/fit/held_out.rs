@@ -114,7 +114,6 @@ struct FoldRows {
     residual: DVector<f64>,
     /// Block of time of each row.
     block_of: Vec<usize>,
-    /// Of each row.
     to_force: Vec<Matrix2x3<f64>>,
     /// Fixed columns and residual as errors of the forces.
     fixed_n: DMatrix<f64>,

@@ -97,7 +97,7 @@ impl JointFit {
     }
 
     /// Number of folds with values of their own.
-    pub fn fold_count(&self) -> usize {
+    pub(crate) fn fold_count(&self) -> usize {
         self.sensors.iter().map(|sensor| sensor.fold_values.len()).min().unwrap_or(0)
     }
 
@@ -477,7 +477,7 @@ pub struct SensorEstimate {
 
 /// Inverse-covariance weighted mean of all sensors, with its covariance. Scatter between sensors beyond their
 /// error bars widens it (Birge 1932).
-pub fn pool_estimates(estimates: &[SensorEstimate]) -> Option<SensorEstimate> {
+pub(crate) fn pool_estimates(estimates: &[SensorEstimate]) -> Option<SensorEstimate> {
     let size = estimates.first()?.value.len();
     let mut precision = DMatrix::zeros(size, size);
     let mut right = DVector::zeros(size);

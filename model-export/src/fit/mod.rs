@@ -9,16 +9,16 @@
 //! - [`held_out`]: held-out residuals of a linearised model.
 //! - [`problem`]: one sensor's fields and Jacobian as a function of all its parameters.
 //! - [`block_bootstrap`]: error bars for autocorrelated residuals.
-//! - [`identifiability`]: which combinations of parameters the data determine.
+//! - `identifiability`: which combinations of parameters the data determine.
 //! - [`solver`]: Levenberg-Marquardt on all three axes jointly.
 //! - [`sensor_fit`]: the fit of one sensor, step by step.
-//! - [`linearisation`]: a fitted model linearised at its solution, with regressions per recording.
-//! - [`initial_guess`]: grid search for the shape parameters of effects, least squares for their coefficients.
+//! - `linearisation`: a fitted model linearised at its solution, with regressions per recording.
+//! - `initial_guess`: grid search for the shape parameters of effects, least squares for their coefficients.
 //! - [`joint`]: all sensors together, with pooled shared parameters.
 //! - [`effect_size`]: magnitude of an effect over all sensors.
 //! - [`recording_differences`]: zeros and places that differ between recordings.
 //! - [`score_test`]: test of a candidate effect without refitting.
-//! - `profile_likelihood`: fits with other values of a shape, with their likelihoods ([`shape_profile`]).
+//! - `profile_likelihood`: fits with other values of a shape, with their likelihoods (`shape_profile`).
 //! - [`campaign`]: from a campaign to its fits.
 
 pub mod base_model;
@@ -27,10 +27,10 @@ pub mod campaign;
 pub mod cross_validation;
 pub mod effect_size;
 pub mod held_out;
-pub mod identifiability;
-pub mod initial_guess;
+pub(crate) mod identifiability;
+mod initial_guess;
 pub mod joint;
-pub mod linearisation;
+mod linearisation;
 pub mod orientation;
 pub mod parameters;
 pub mod polynomial;
@@ -40,9 +40,9 @@ pub mod recording_differences;
 pub mod rows;
 pub mod score_test;
 pub mod sensor_fit;
-pub mod shape_profile;
+mod shape_profile;
 pub mod solver;
-pub mod tall_products;
+pub(crate) mod tall_products;
 
 pub use campaign::CampaignFits;
 pub use cross_validation::AxisScore;

@@ -12,7 +12,7 @@ const DEGREE: f64 = std::f64::consts::PI / 180.0;
 pub const COUNT: usize = 14;
 
 /// Index of the first geometric parameter; those before are stiffnesses and act through the state alone.
-pub const FIRST_OF_GEOMETRY: usize = 2;
+pub(crate) const FIRST_OF_GEOMETRY: usize = 2;
 
 /// One parameter of the cylinder base.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -38,7 +38,7 @@ const fn absolute(name: &'static str, unit: &'static str, tolerance: f64) -> Cyl
 
 /// All parameters in the order of the vectors.
 ///
-/// The tolerances decide which combinations stay at nominal (see [`crate::fit::identifiability`]).
+/// The tolerances decide which combinations stay at nominal (see `fit/identifiability.rs`).
 pub const PARAMETERS: [CylinderParameter; COUNT] = [
     // A wire-cut beam's thickness enters with its third power: 0.1 mm of 5 mm is 6 %.
     relative("stiffness_x", "N/mm", 0.10),
@@ -243,18 +243,18 @@ impl FreeParameter {
     }
 
     /// The scaled value, within its limits.
-    pub fn within_limits(&self, scaled: f64) -> f64 {
+    pub(crate) fn within_limits(&self, scaled: f64) -> f64 {
         if self.limits.is_some() { self.to_scaled(self.value(scaled)) } else { scaled }
     }
 
     /// Whether the value is nearer to its upper limit: there a derivative is taken downwards, since the field does not change beyond.
-    pub fn is_near_upper_limit(&self, scaled: f64) -> bool {
+    pub(crate) fn is_near_upper_limit(&self, scaled: f64) -> bool {
         self.limits
             .is_some_and(|(low, high)| scaled > 0.5 * (self.to_scaled(low) + self.to_scaled(high)))
     }
 
     /// Derivative of the value to the scaled value.
-    pub fn derivative(&self, scaled: f64) -> f64 {
+    pub(crate) fn derivative(&self, scaled: f64) -> f64 {
         if self.relative { self.scale * self.value(scaled) } else { self.scale }
     }
 }

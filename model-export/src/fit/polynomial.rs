@@ -48,7 +48,7 @@ impl Polynomial {
     }
 
     /// Number of [`Polynomial::terms`], the binomial coefficient; `None` beyond the range of an integer.
-    pub fn term_count(forces: usize, degree: usize) -> Option<usize> {
+    pub(crate) fn term_count(forces: usize, degree: usize) -> Option<usize> {
         (1..=forces)
             .try_fold(1_usize, |count, i| Some(count.checked_mul(degree.checked_add(i)?)? / i))
     }

@@ -105,20 +105,20 @@ impl<'a> SensorProblem<'a> {
 
     /// Sets the start of the base parameters: effects take nothing from what the base alone explains. Offsets
     /// next to an ambient field effect keep their start.
-    pub fn set_base_start(&mut self, values: &[f64]) {
+    pub(crate) fn set_base_start(&mut self, values: &[f64]) {
         let parameters = self.parameters.iter_mut().zip(values).take(self.base_count);
         parameters.skip(self.offset_count).for_each(|(index, value)| index.start = *value);
     }
 
     /// Sets the start of the base parameters to their nominal values.
-    pub fn set_nominal_start(&mut self) {
+    pub(crate) fn set_nominal_start(&mut self) {
         let nominal = self.nominal.clone();
         self.set_base_start(&nominal);
         self.starts_nominal = true;
     }
 
     /// Sets the start of shapes and initial states.
-    pub fn set_shape_start(&mut self, values: &[f64]) {
+    pub(crate) fn set_shape_start(&mut self, values: &[f64]) {
         let parameters = self.parameters.iter_mut().zip(values);
         parameters
             .filter(|(index, _)| !index.refit_per_fold)
@@ -126,7 +126,7 @@ impl<'a> SensorProblem<'a> {
     }
 
     /// Indices of parameters with preset values.
-    pub fn preset(&self) -> Vec<usize> {
+    pub(crate) fn preset(&self) -> Vec<usize> {
         let parameters = 0..self.parameters.len();
         parameters.filter(|&index| self.parameters[index].preset_sigma.is_some()).collect()
     }
@@ -214,7 +214,7 @@ impl<'a> SensorProblem<'a> {
 
     /// The same in blocks of consecutive rows, which stay in the processor's cache: for each its rows, their responses, and the
     /// Jacobian, three rows for each of these.
-    pub fn linearise_in_blocks(
+    pub(crate) fn linearise_in_blocks(
         &self,
         part: usize,
         scaled: &DVector<f64>,
@@ -278,7 +278,7 @@ impl<'a> SensorProblem<'a> {
     }
 
     /// Reciprocal noise floor of a row, each axis.
-    pub fn row_weights(&self, part: usize, row: usize) -> Vector3<f64> {
+    pub(crate) fn row_weights(&self, part: usize, row: usize) -> Vector3<f64> {
         self.weights * self.rows.parts[part].weight(row).sqrt()
     }
 

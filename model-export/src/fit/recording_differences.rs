@@ -20,7 +20,6 @@ use crate::fit::score_test::CandidateScore;
 use crate::physics::FieldResponse;
 use crate::recordings::columns::Axis;
 
-/// Parts of each recording.
 const PARTS: usize = 4;
 /// Rows of a part, at least.
 const LEAST_ROWS: usize = 8;

@@ -60,7 +60,7 @@ const ROWS_PER_COEFFICIENT: usize = 2;
 const FOLDS: usize = 6;
 
 /// Rows that a base with this many coefficients needs: a fold trains on all but one part of them.
-pub fn least_rows(coefficients: usize) -> usize {
+pub(crate) fn least_rows(coefficients: usize) -> usize {
     (ROWS_PER_COEFFICIENT * coefficients * FOLDS).div_ceil(FOLDS - 1).max(FOLDS)
 }
 
@@ -234,7 +234,7 @@ impl SensorRows {
     }
 
     /// Axes that are copies of an earlier one: a sensor of one or two axes has its first in the place of each missing one.
-    pub fn copied_axes(&self) -> [bool; 3] {
+    pub(crate) fn copied_axes(&self) -> [bool; 3] {
         let is_copy = |axis: usize, of: usize| {
             let mut fields = self.parts.iter().flat_map(|part| &part.field_g);
             fields.all(|field| field[axis] == field[of])
@@ -304,7 +304,7 @@ impl SensorRows {
     }
 
     /// Number of recordings with rows.
-    pub fn filled_parts(&self) -> usize {
+    pub(crate) fn filled_parts(&self) -> usize {
         self.parts.iter().filter(|part| !part.is_empty()).count()
     }
 
@@ -319,7 +319,7 @@ impl SensorRows {
     }
 
     /// Minimum and maximum of each force.
-    pub fn force_spans(&self) -> Vec<(f64, f64)> {
+    pub(crate) fn force_spans(&self) -> Vec<(f64, f64)> {
         let span = |force: usize| {
             self.parts
                 .iter()
@@ -332,7 +332,7 @@ impl SensorRows {
     }
 
     /// Peak-to-peak field of each axis in gauss.
-    pub fn field_span(&self) -> Vector3<f64> {
+    pub(crate) fn field_span(&self) -> Vector3<f64> {
         let fields = || self.parts.iter().flat_map(|part| &part.field_g);
         let high = fields().fold(Vector3::repeat(f64::NEG_INFINITY), |high, field| high.sup(field));
         let low = fields().fold(Vector3::repeat(f64::INFINITY), |low, field| low.inf(field));

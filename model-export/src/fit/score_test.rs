@@ -31,7 +31,6 @@ pub struct ScoreTest<'a> {
     setup: &'a FitSetup,
     effects: Vec<EffectTerm>,
     values: Vec<Vec<f64>>,
-    /// One for each sensor.
     sensors: Vec<SensorScore>,
     /// Number of blocks of time.
     pub blocks: usize,

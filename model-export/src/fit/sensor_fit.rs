@@ -3,7 +3,7 @@
 //! Fourteen parameters describe a sensor, effects add theirs, and a recording seldom determines all of them: a
 //! larger gap resembles a weaker magnet, a tilted magnet a shifted one. So a prior as wide as the manufacturing
 //! tolerances is always included, and the weight of the data is lowered by the variance inflation of
-//! autocorrelated or structured residuals ([`noise_inflation`]).
+//! autocorrelated or structured residuals (`noise_inflation`).
 //!
 //! Directions of the parameter space whose standard error exceeds half a prior width are not identifiable and
 //! stay at their start. They are determined once, on all recordings; values are fitted anew in each fold.
@@ -60,7 +60,7 @@ const IMITATES: f64 = 3.0;
 /// them is far from nominal, the base may imitate the effects (tilts of 8 degrees instead of a coupling of the flexures),
 /// and the priors and the directions that the data do not determine keep it there. Priors centred at nominal are then tried
 /// as well; of the two fits, that with the smaller sum of squares of residuals and of distances from nominal is taken.
-pub fn fit_from_base<'a>(
+pub(crate) fn fit_from_base<'a>(
     problem: SensorProblem<'a>,
     values: &[f64],
 ) -> Result<(SensorProblem<'a>, SensorSolution), FitError> {
@@ -127,7 +127,7 @@ fn fit_all_free(
 }
 
 /// Fit from a close start with new weights and free directions. `frozen` parameters keep their values.
-pub fn fit_identifiable(
+pub(crate) fn fit_identifiable(
     problem: &SensorProblem,
     start: &DVector<f64>,
     frozen: &[usize],
@@ -169,7 +169,11 @@ impl SensorSolution {
     }
 
     /// Normal equations of these rows at the solution; `None` where they are not whole recordings.
-    pub fn normal_equations(&self, rows: &SensorRows, training: &[RowRange]) -> Option<Block> {
+    pub(crate) fn normal_equations(
+        &self,
+        rows: &SensorRows,
+        training: &[RowRange],
+    ) -> Option<Block> {
         if training.iter().any(|range| range.rows != (0..rows.parts[range.part].len())) {
             return None;
         }
@@ -186,7 +190,7 @@ impl SensorSolution {
     }
 
     /// The same with these frozen parameters freed.
-    pub fn with_freed(&self, parameters: &[usize]) -> Self {
+    pub(crate) fn with_freed(&self, parameters: &[usize]) -> Self {
         Self { space: self.space.with_freed(parameters), ..self.clone() }
     }
 
@@ -197,7 +201,7 @@ impl SensorSolution {
 }
 
 /// Adds the errors of the model over some rows.
-pub fn add_errors(
+pub(crate) fn add_errors(
     tally: &mut ErrorSums,
     problem: &SensorProblem,
     ranges: &[RowRange],
@@ -218,7 +222,11 @@ pub fn add_errors(
 }
 
 /// Held-out errors of a fold.
-pub fn held_out_errors(problem: &SensorProblem, fold: &Fold, scaled: &DVector<f64>) -> ErrorSums {
+pub(crate) fn held_out_errors(
+    problem: &SensorProblem,
+    fold: &Fold,
+    scaled: &DVector<f64>,
+) -> ErrorSums {
     let mut tally = ErrorSums::default();
     add_errors(&mut tally, problem, &fold.test, scaled);
     tally

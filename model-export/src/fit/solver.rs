@@ -16,10 +16,10 @@ const EVALUATIONS: usize = 50;
 /// Relative tolerance of the sum of squares for a final solution.
 pub const FINE_TOLERANCE: f64 = 1e-7;
 /// The same for a fit to the training rows of a fold, which starts at the fit to all rows.
-pub const FOLD_TOLERANCE: f64 = 1e-4;
+pub(crate) const FOLD_TOLERANCE: f64 = 1e-4;
 /// The same for intermediate solutions. Their residual determines the weight of the data: with 1e-4 it was too large, and the prior
 /// shifted the final solution.
-pub const COARSE_TOLERANCE: f64 = 1e-5;
+pub(crate) const COARSE_TOLERANCE: f64 = 1e-5;
 /// Minimum relative gain of a round; below it the valley is flat and the position is determined by noise.
 const MIN_GAIN: f64 = 1e-4;
 /// Maximum difference of a scaled parameter between two points that count as one.

@@ -58,7 +58,6 @@ pub struct TrainingRecording {
     pub held_out: bool,
 }
 
-/// The description in the file.
 #[derive(Serialize, Deserialize)]
 struct Description {
     format: u32,

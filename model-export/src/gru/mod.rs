@@ -1,7 +1,7 @@
 //! Recurrent network (GRU): trained in floating point, quantised for the device.
 //!
 //! - [`network`]: a trained network, its floating point step and its warm-up time.
-//! - [`recurrence`]: one GRU layer, forward and backward, with its activations.
+//! - `recurrence`: one GRU layer, forward and backward, with its activations.
 //! - [`tensors`]: named arrays in a safetensors file.
 //! - [`train`]: back-propagation through time.
 //! - [`file`](mod@file): trained networks in a file.
@@ -12,7 +12,7 @@ pub mod file;
 pub mod network;
 pub mod pack;
 pub mod quantise;
-pub mod recurrence;
+mod recurrence;
 pub mod tensors;
 pub mod train;
 

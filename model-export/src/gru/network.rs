@@ -187,11 +187,11 @@ impl FloatLayer {
 /// Convergence tolerance of outputs: a thousandth of the force scale.
 const WARM_UP_TOLERANCE: f32 = 1e-3;
 /// Maximum warm-up in steps: ten seconds at 1 kHz, also for networks with unlimited memory.
-pub const MAX_WARM_UP: u16 = 10_000;
+pub(crate) const MAX_WARM_UP: u16 = 10_000;
 
 /// Warm-up in steps: until runs from reset and runs driven by every input at either end of its range agree,
 /// with all inputs at zero.
-pub fn warm_up_steps(network: &Network) -> u16 {
+pub(crate) fn warm_up_steps(network: &Network) -> u16 {
     let inputs = network.inputs.len();
     let rest = vec![0.0; inputs];
     let last_difference = |end: f32| {

@@ -95,7 +95,7 @@ fn prepare(
 }
 
 /// Packs networks into the size that a device can load without a new image.
-pub fn pack_loadable(
+pub(crate) fn pack_loadable(
     networks: &[Network],
     gauss_per_lsb: f64,
 ) -> Result<Vec<LoadableNetwork>, QuantiseError> {

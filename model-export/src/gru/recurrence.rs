@@ -7,7 +7,6 @@
 
 use firmware::model::formats::GATES;
 
-/// Weights of a layer.
 #[derive(Clone, Copy, Debug)]
 pub struct LayerWeights<'a> {
     /// `inputs x GATES*hidden`.

@@ -188,7 +188,7 @@ fn list<T: Display>(items: &[T]) -> String {
 }
 
 /// Empty table, with an arbitrary size.
-pub const NO_NETWORKS: &str = "\n/// No recurrent networks.\n\
+pub(crate) const NO_NETWORKS: &str = "\n/// No recurrent networks.\n\
     pub static NETWORKS: [Network<1, 4, 1>; 0] = [];\n\
     \n/// Calibration with networks of this size.\n\
     pub type TablesCalibration<'m> = crate::model::calibration::Calibration<'m, 1, 4, 1>;\n";
@@ -202,7 +202,7 @@ pub struct MixedSizes;
 
 /// Source of a static with `networks`, to append to a file of tables. Its type names the size, so that an image
 /// links the kernel of that size only, by statically known calls, and none without networks.
-pub fn networks_source(networks: &[Box<dyn PackedNetwork>]) -> Result<String, MixedSizes> {
+pub(crate) fn networks_source(networks: &[Box<dyn PackedNetwork>]) -> Result<String, MixedSizes> {
     let Some(first) = networks.first() else {
         return Ok(NO_NETWORKS.to_owned());
     };

@@ -17,7 +17,7 @@ use wide::f64x4;
 const LANES: usize = 4;
 
 /// Maximum number of centres along each axis.
-pub const MAX_CENTRES_ACROSS: usize = 8;
+pub(crate) const MAX_CENTRES_ACROSS: usize = 8;
 
 /// Hyperparameters of a model.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -62,7 +62,7 @@ impl Grbf {
     }
 
     /// Fits one model for each penalty with common normal equations.
-    pub fn fit_ridges(
+    pub(crate) fn fit_ridges(
         model: &StaticModel,
         design: &DesignBox,
         shape: GrbfShape,
@@ -231,7 +231,7 @@ pub fn training_samples(model: &StaticModel, design: &DesignBox) -> Vec<FieldSam
 }
 
 /// Held-out samples: random loads in the box, with random offsets.
-pub fn held_out_samples(
+pub(crate) fn held_out_samples(
     model: &StaticModel,
     design: &DesignBox,
     count: usize,

@@ -331,7 +331,7 @@ impl StaticModel {
     }
 
     /// Whether [`StaticModel::off_surface`] is normal to the surface, so that the load is nearest to its offset samples.
-    pub fn has_normal_offsets(&self) -> bool {
+    pub(crate) fn has_normal_offsets(&self) -> bool {
         matches!(self.base, StaticBase::Polynomial(_))
     }
 

@@ -328,7 +328,7 @@ impl ModelFile {
     }
 
     /// Time of the state that the tables of a sensor hold.
-    pub fn table_state(&self, number: u32) -> FinalState {
+    pub(crate) fn table_state(&self, number: u32) -> FinalState {
         let sensor = self.sensors.iter().find(|sensor| sensor.number == number);
         sensor.and_then(|sensor| sensor.final_state).unwrap_or(FinalState::ENDED)
     }
@@ -344,7 +344,7 @@ impl ModelFile {
     }
 
     /// The polynomial of one sensor for its inversion; `None` where it has no force, or several along one axis.
-    pub fn force_polynomial(&self, number: u32) -> Option<ForcePolynomial> {
+    pub(crate) fn force_polynomial(&self, number: u32) -> Option<ForcePolynomial> {
         let sensor = self.sensors.iter().find(|sensor| sensor.number == number)?;
         let floor = sensor.held_out.iter().map(|score| score.floor_g.powi(2)).sum::<f64>();
         let floor_g = (floor / sensor.held_out.len().max(1) as f64).sqrt();

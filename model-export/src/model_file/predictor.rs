@@ -24,7 +24,6 @@ pub struct Predictor {
     tables: Option<GripperState>,
 }
 
-/// Base model of a [`Predictor`].
 enum PredictorBase {
     /// Field from the state of the sensor.
     FromState { base: Box<dyn BaseModel + Send>, values: Vec<f64> },

@@ -193,7 +193,7 @@ impl SensorModel {
     }
 
     /// The lateral and the longitudinal one of [`SensorModel::forces`].
-    pub fn force_pair(&self) -> ForcePair {
+    pub(crate) fn force_pair(&self) -> ForcePair {
         pair(&self.forces())
     }
 

@@ -43,12 +43,12 @@ impl SensorOrientation {
     }
 
     /// Axis of the sensor along each axis of the gripper, 0 to 2, and whether it points the other way.
-    pub fn sensor_axes(self) -> [(usize, bool); 3] {
+    pub(crate) fn sensor_axes(self) -> [(usize, bool); 3] {
         self.0.axes().map(|(axis, is_negated)| (axis.into(), is_negated))
     }
 
     /// Axis of the gripper along each axis of the sensor, 0 to 2, and whether it points the other way.
-    pub fn gripper_axes(self) -> [(usize, bool); 3] {
+    pub(crate) fn gripper_axes(self) -> [(usize, bool); 3] {
         let mut axes = [(0, false); 3];
         for (gripper, (sensor, is_negated)) in self.sensor_axes().into_iter().enumerate() {
             axes[sensor] = (gripper, is_negated);
@@ -57,7 +57,7 @@ impl SensorOrientation {
     }
 
     /// A field in the sensor's axes, in those of the gripper.
-    pub fn to_gripper(self, field: Vector3<f64>) -> Vector3<f64> {
+    pub(crate) fn to_gripper(self, field: Vector3<f64>) -> Vector3<f64> {
         self.0.apply(field.into()).into()
     }
 

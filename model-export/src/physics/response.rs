@@ -42,7 +42,7 @@ impl FieldResponse {
     }
 
     /// Derivative of the reading with respect to a component of the state ([`PhysicalState::components`]), in gauss per its unit.
-    pub fn per_component(&self, component: usize) -> Vector3<f64> {
+    pub(crate) fn per_component(&self, component: usize) -> Vector3<f64> {
         let along = |axis: usize| Vector3::ith(axis, self.per_gain[axis]);
         match component {
             0..3 => self.per_mm.column(component).into(),
@@ -150,7 +150,7 @@ pub struct PhysicalState {
 
 impl PhysicalState {
     /// Number of components.
-    pub const COMPONENTS: usize = 19;
+    pub(crate) const COMPONENTS: usize = 19;
 
     /// Displacement, external field, rotation, offset, gain, tilt, strength, compression.
     pub fn components(&self) -> [f64; Self::COMPONENTS] {

@@ -15,7 +15,7 @@ use crate::recordings::description::{MagnetAxis, NominalDesign};
 pub const GAP_WEIGHT: f64 = 0.01;
 
 /// The weights of all axes with [`GAP_WEIGHT`].
-pub const CYLINDER_WEIGHTS: Vector3<f64> = Vector3::new(1.0, GAP_WEIGHT, 1.0);
+pub(crate) const CYLINDER_WEIGHTS: Vector3<f64> = Vector3::new(1.0, GAP_WEIGHT, 1.0);
 
 /// Change of both forces with the field in N/G by the device's inverse, where the field changes by `[dB/dFx, dB/dFz]` in G/N: least
 /// squares with these weights of the axes. A force that the field does not depend on is no input and stays zero. `None` where the
@@ -110,7 +110,11 @@ impl ForwardModel {
     }
 
     /// [`ForwardModel::field_at`] many states.
-    pub fn fields_at(&self, frames: &ModelFrames, states: &[PhysicalState]) -> Vec<Vector3<f64>> {
+    pub(crate) fn fields_at(
+        &self,
+        frames: &ModelFrames,
+        states: &[PhysicalState],
+    ) -> Vec<Vector3<f64>> {
         let (turns, at_mm): (Vec<_>, Vec<_>) =
             states.iter().map(|state| self.element_in_magnet(frames, state)).unzip();
         let units = self.magnet.unit_fields(&at_mm);
@@ -155,7 +159,7 @@ impl ForwardModel {
     }
 
     /// [`ForwardModel::response_at`] many states.
-    pub fn responses_at(
+    pub(crate) fn responses_at(
         &self,
         frames: &ModelFrames,
         states: &[PhysicalState],

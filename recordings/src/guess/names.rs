@@ -26,7 +26,7 @@ pub enum Quantity {
 
 impl Quantity {
     /// Quantity of values in this unit.
-    pub fn of_unit(unit: Unit) -> Self {
+    pub(crate) fn of_unit(unit: Unit) -> Self {
         match unit.canonical {
             "us" => Self::Time,
             "gauss" | "lsb" => Self::Field,

@@ -52,7 +52,10 @@ pub struct SourceTable {
 }
 
 /// Tables of a file, or of a folder; those of a bag with the clocks of the `first` one, where there is one.
-pub fn read_source(source: &Path, first: &[SourceTable]) -> Result<Vec<SourceTable>, DataError> {
+pub(crate) fn read_source(
+    source: &Path,
+    first: &[SourceTable],
+) -> Result<Vec<SourceTable>, DataError> {
     if mcap::is_bag(source) {
         return read_bag(source, first);
     }
@@ -270,7 +273,7 @@ impl SourceColumn {
 }
 
 /// The table with the most columns of a quantity.
-pub fn table_with(tables: &[SourceTable], quantity: Quantity) -> Option<&SourceTable> {
+pub(crate) fn table_with(tables: &[SourceTable], quantity: Quantity) -> Option<&SourceTable> {
     let count = |table: &SourceTable| {
         table
             .columns
@@ -287,7 +290,7 @@ pub fn numeric(table: &SourceTable, quantity: Quantity) -> impl Iterator<Item = 
 }
 
 /// Groups of the columns: by number where all else is equal, in the order of the table otherwise.
-pub fn column_groups<'a>(columns: impl Iterator<Item = &'a SourceColumn>) -> Vec<&'a Group> {
+pub(crate) fn column_groups<'a>(columns: impl Iterator<Item = &'a SourceColumn>) -> Vec<&'a Group> {
     let mut groups = Vec::new();
     for column in columns {
         if !groups.contains(&&column.stated.group) {
@@ -300,7 +303,7 @@ pub fn column_groups<'a>(columns: impl Iterator<Item = &'a SourceColumn>) -> Vec
     groups
 }
 
-pub fn axis_of(column: &SourceColumn) -> Option<Axis> {
+pub(crate) fn axis_of(column: &SourceColumn) -> Option<Axis> {
     match column.stated.axis? {
         'x' => Some(Axis::X),
         'y' => Some(Axis::Y),

@@ -181,7 +181,7 @@ impl TopicReader {
 }
 
 /// Whether a path is a bag: a file of messages, or the folder of a ROS 2 bag, which may have lost its metadata.
-pub fn is_bag(path: &Path) -> bool {
+pub(crate) fn is_bag(path: &Path) -> bool {
     is_messages(path)
         || (path.is_dir()
             && (path.join("metadata.yaml").is_file()
@@ -338,7 +338,7 @@ pub fn read_topics(
 ///
 /// # Errors
 /// The file cannot be read, or is damaged before its first message.
-pub fn stated_mapping(path: &Path) -> Result<Option<String>, DataError> {
+pub(crate) fn stated_mapping(path: &Path) -> Result<Option<String>, DataError> {
     let Some(file) = files(path)?.into_iter().next() else {
         return Ok(None);
     };
@@ -349,7 +349,7 @@ pub fn stated_mapping(path: &Path) -> Result<Option<String>, DataError> {
 }
 
 /// Best clock that all of these topics have: the time of the measurement where it is stated.
-pub fn common_clock(topics: &[Topic]) -> &'static str {
+pub(crate) fn common_clock(topics: &[Topic]) -> &'static str {
     let is_stamped = |topic: &Topic| topic.values(HEADER_STAMP).is_some();
     if topics.iter().all(is_stamped) { HEADER_STAMP } else { LOG_TIME }
 }

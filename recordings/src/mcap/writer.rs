@@ -16,9 +16,9 @@ use crate::error::{DataError, ErrorKind, Location};
 use crate::output;
 
 /// Key of a channel's metadata: `name=unit` of each number, separated by commas.
-pub const UNITS_KEY: &str = "units";
+pub(crate) const UNITS_KEY: &str = "units";
 /// Key of a channel's metadata: the mapping with which `import` reads the file.
-pub const MAPPING_KEY: &str = "magpie.mapping";
+pub(crate) const MAPPING_KEY: &str = "magpie.mapping";
 
 /// Header of a message in plain CDR, little-endian; its fields of 8 bytes need no padding.
 const CDR_LITTLE_ENDIAN: [u8; 4] = [0, 1, 0, 0];

@@ -243,7 +243,7 @@ impl SensorDesign {
     }
 
     /// Compliance of the mount in m/N.
-    pub fn mount_m_per_n(&self, axis: usize) -> f64 {
+    pub(crate) fn mount_m_per_n(&self, axis: usize) -> f64 {
         let compliance = 1e-3 / self.stiffness_n_per_mm(axis) - 1e-3 / self.beam_n_per_mm(axis);
         compliance.max(0.0)
     }

@@ -33,10 +33,10 @@ pub const EARTH_MIN: Constant = stated("Earth's field, least", 0.25, "G", "IGRF-
 pub const EARTH_MAX: Constant =
     stated("Earth's field, greatest", 0.65, "G", "IGRF-13: 22 to 67 uT");
 /// Loss of remanence by demagnetisation or inhomogeneity, as a fraction.
-pub const REMANENCE_LOSS: Constant =
+pub(crate) const REMANENCE_LOSS: Constant =
     stated("magnet's inhomogeneity", 0.01, "", "paper IV-C, below 1 %");
 /// Distance between the centres of opposite magnets with the gripper closed.
-pub const CLOSED_DISTANCE: Constant = assumed(
+pub(crate) const CLOSED_DISTANCE: Constant = assumed(
     "opposite magnets, gripper closed",
     10.0,
     "mm",
@@ -45,7 +45,7 @@ pub const CLOSED_DISTANCE: Constant = assumed(
 /// Load at which the paper measured the deflection.
 pub const RIGIDITY_LOAD: Constant = stated("load on the whole gripper", 200.0, "N", "paper V-D");
 /// Deflection of the whole gripper under [`RIGIDITY_LOAD`].
-pub const RIGIDITY_DEFLECTION: Constant =
+pub(crate) const RIGIDITY_DEFLECTION: Constant =
     stated("deflection of the whole gripper", 0.3, "mm", "paper V-D");
 
 /// All constants of this module, with their sources.
@@ -164,7 +164,10 @@ impl FieldShift {
 
 /// Maximum shift by each source: Earth, mounting before and after a tare, opposite magnet, demagnetisation,
 /// motor, compliance of the gripper.
-pub fn field_shifts(sensor: &SensorUnderTest, sources: &InterferenceSources) -> Vec<FieldShift> {
+pub(crate) fn field_shifts(
+    sensor: &SensorUnderTest,
+    sources: &InterferenceSources,
+) -> Vec<FieldShift> {
     let rest = LocalInverse::at(&sensor.model, [0.0; 2]);
     let [mounted, tared] = misalignment::shifts(sensor, &rest, &sources.draws);
     let earth_n = sources.earth_g * rest.worst_case_n(&Matrix3::identity());
@@ -231,7 +234,7 @@ pub fn neighbour_distance_mm(model: &ForwardModel, limit_g: f64) -> f64 {
 }
 
 /// Error of the opening in mm under the maximum force, by the compliance of the gripper.
-pub fn opening_error_mm(sensor: &SensorUnderTest, sources: &InterferenceSources) -> f64 {
+pub(crate) fn opening_error_mm(sensor: &SensorUnderTest, sources: &InterferenceSources) -> f64 {
     sensor.model.force_range_n / sources.rigidity_n_per_mm
 }
 
@@ -257,13 +260,13 @@ impl LocalInverse {
     }
 
     /// Larger magnitude of the two forces that explain a field change in gauss.
-    pub fn max_force_n(&self, shift_g: Vector3<f64>) -> f64 {
+    pub(crate) fn max_force_n(&self, shift_g: Vector3<f64>) -> f64 {
         self.n_per_g.map_or(f64::INFINITY, |n_per_g| (n_per_g * shift_g).amax())
     }
 
     /// The same for the worst field `basis * u` with `u` on the unit sphere; with the identity, for one gauss
     /// from any direction.
-    pub fn worst_case_n<const N: usize>(&self, basis: &nalgebra::SMatrix<f64, 3, N>) -> f64 {
+    pub(crate) fn worst_case_n<const N: usize>(&self, basis: &nalgebra::SMatrix<f64, 3, N>) -> f64 {
         let rows = |n_per_g: Matrix2x3<f64>| {
             let both = n_per_g * basis;
             both.row(0).norm().max(both.row(1).norm())

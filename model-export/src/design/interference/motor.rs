@@ -13,23 +13,24 @@ use crate::design::interference::{FieldShift, InterferenceSources, LocalInverse,
 use crate::physics::magnet::GAUSS_PER_TESLA;
 
 /// Teeth of the stator.
-pub const TEETH: Constant = assumed("motor's teeth", 12.0, "", "12 slots, 14 poles");
+pub(crate) const TEETH: Constant = assumed("motor's teeth", 12.0, "", "12 slots, 14 poles");
 /// Turns of wire around each tooth.
 pub const TURNS: Constant = assumed("turns of a tooth", 20.0, "", "no motor named");
 /// Mean radius of the coils from the motor's axis.
-pub const RADIUS: Constant = assumed("radius of the coils", 18.0, "mm", "no motor named");
+pub(crate) const RADIUS: Constant = assumed("radius of the coils", 18.0, "mm", "no motor named");
 /// Width of a coil along the circumference.
 pub const WIDTH: Constant =
     assumed("width of a coil", 7.0, "mm", "a twelfth of the circle, less slots");
 /// Length of a coil along the motor's axis.
 pub const LENGTH: Constant = assumed("length of a coil", 12.0, "mm", "no motor named");
 /// Distance from the motor's centre to the nearest sensor along the motor's axis (`x`, the opening).
-pub const ALONG: Constant = assumed("motor to sensor, along", 20.0, "mm", "gripper closed");
+pub(crate) const ALONG: Constant = assumed("motor to sensor, along", 20.0, "mm", "gripper closed");
 /// The same perpendicular to the axis, along the finger.
-pub const ASIDE: Constant = assumed("motor to sensor, aside", 38.0, "mm", "20 mm off the coils");
+pub(crate) const ASIDE: Constant =
+    assumed("motor to sensor, aside", 38.0, "mm", "20 mm off the coils");
 
 /// Position of the nearest sensor relative to the motor's centre, gripper axes, in mm.
-pub fn sensor_mm() -> Vector3<f64> {
+pub(crate) fn sensor_mm() -> Vector3<f64> {
     Vector3::new(ALONG.value, 0.0, ASIDE.value)
 }
 
@@ -47,7 +48,7 @@ pub fn shift(
 
 /// Field in G/A for alpha and beta (peak of the phase) at `at_mm` from the motor's centre; the motor's axis is
 /// `x`.
-pub fn leakage_g_per_a(at_mm: Vector3<f64>) -> Matrix3x2<f64> {
+pub(crate) fn leakage_g_per_a(at_mm: Vector3<f64>) -> Matrix3x2<f64> {
     let half = 0.5 * 3.0_f64.sqrt();
     // Phase currents for unit alpha, and for unit beta.
     let phases = [[1.0, 0.0], [-0.5, half], [-0.5, -half]];

@@ -388,7 +388,7 @@ impl Expression {
     }
 
     /// Values at the rows of columns in the order of [`Expression::inputs`].
-    pub fn values_at(&self, values: &[f64], columns: Vec<Vec<f64>>) -> Vec<f64> {
+    pub(crate) fn values_at(&self, values: &[f64], columns: Vec<Vec<f64>>) -> Vec<f64> {
         let (coefficients, shapes) = values.split_at(self.coefficients.len().min(values.len()));
         let rows = columns.first().map_or(0, Vec::len);
         let inputs: Vec<Values> = columns.into_iter().map(Values::Each).collect();
@@ -430,7 +430,7 @@ impl Expression {
     }
 
     /// True where it is a function of the present forces alone, so that the tables of the inverse model contain it.
-    pub fn depends_on_forces_alone(&self) -> bool {
+    pub(crate) fn depends_on_forces_alone(&self) -> bool {
         let mut names = self.covariates.iter();
         !self.has_memory() && names.all(|name| matches!(name.as_str(), "fx_n" | "fz_n"))
     }

@@ -272,7 +272,6 @@ pub(super) fn check_parameter_count(
 pub(super) struct Lag {
     /// Name that replaces it.
     pub(super) name: String,
-    /// Covariate.
     pub(super) covariate: String,
     /// Number, or name of a nonlinear parameter.
     pub(super) seconds: String,

@@ -31,7 +31,6 @@ impl Adam {
         Self { steps: 0, first: zero.clone(), second: zero }
     }
 
-    /// One step.
     pub fn step(
         &mut self,
         parameters: &mut TrainableParameters,

@@ -49,7 +49,6 @@ impl<'a> NetworkWeights<'a> {
     }
 }
 
-/// Rows of one stream.
 #[derive(Clone, Debug, Default)]
 pub struct StreamRows {
     /// `rows x inputs`.

@@ -2,22 +2,22 @@
 //!
 //! - [`dataset`]: recordings as training sequences, and their scaling.
 //! - [`parameters`]: trainable tensors, their initial values and the device's weight limits.
-//! - [`backprop`]: loss and gradients of one network.
-//! - [`tbptt`]: windows for truncated back-propagation through time.
-//! - [`adam`]: the optimiser.
+//! - `backprop`: loss and gradients of one network.
+//! - `tbptt`: windows for truncated back-propagation through time.
+//! - `adam`: the optimiser.
 //! - [`trainer`]: epochs, learning rate schedule and early stopping.
 //! - [`predictions`]: evaluation of trained networks.
 //! - [`checkpoint`]: a training run on disk.
 //!
 //! The same seed and recordings give the same bytes on any number of threads, with or without interruptions.
 
-pub mod adam;
-pub mod backprop;
+mod adam;
+mod backprop;
 pub mod checkpoint;
 pub mod dataset;
 pub mod parameters;
 pub mod predictions;
-pub mod tbptt;
+mod tbptt;
 pub mod trainer;
 
 #[cfg(test)]

@@ -59,7 +59,7 @@ impl ParameterTensor {
     }
 
     /// Mutable values of one network.
-    pub fn of_mut(&mut self, network: usize) -> &mut [f32] {
+    pub(crate) fn of_mut(&mut self, network: usize) -> &mut [f32] {
         let each = self.each();
         &mut self.values[network * each..][..each]
     }
@@ -73,7 +73,7 @@ impl ParameterTensor {
 /// Index of each tensor in [`TrainableParameters::all`].
 #[allow(missing_docs)] // Their names say it.
 pub mod index {
-    pub const LAYERS: [[usize; 3]; 2] = [[0, 1, 2], [3, 4, 5]];
+    pub(crate) const LAYERS: [[usize; 3]; 2] = [[0, 1, 2], [3, 4, 5]];
     pub const HEAD_WEIGHTS: usize = 6;
     pub const HEAD_BIAS: usize = 7;
 }
@@ -134,7 +134,7 @@ impl TrainableParameters {
     }
 
     /// Copies the values of one network.
-    pub fn copy_network(&mut self, network: usize, from: &Self) {
+    pub(crate) fn copy_network(&mut self, network: usize, from: &Self) {
         for (to, from) in self.all.iter_mut().zip(&from.all) {
             to.of_mut(network).copy_from_slice(from.of(network));
         }
@@ -163,9 +163,9 @@ impl TrainableParameters {
 }
 
 /// Maximum weight on the device (Q3).
-pub const MAX_WEIGHT: f32 = 7.99;
+pub(crate) const MAX_WEIGHT: f32 = 7.99;
 /// The same for the candidate's recurrent weights (Q2).
-pub const MAX_CANDIDATE_WEIGHT: f32 = 3.99;
+pub(crate) const MAX_CANDIDATE_WEIGHT: f32 = 3.99;
 
 /// Allowance for rounding of a sum.
 const ROUNDING: f32 = 0.1;
@@ -182,7 +182,7 @@ impl TrainableParameters {
     /// Clips weights and scales rows to what the device can represent: the exporter rejects rows whose sum
     /// could wrap ([`crate::gru::quantise`]). A row is scaled together with its biases, so that its direction
     /// and the point of the half-open gate remain.
-    pub fn clip_to_device(&mut self) {
+    pub(crate) fn clip_to_device(&mut self) {
         self.all.iter_mut().for_each(ParameterTensor::clip_to_device);
         for network in 0..self.size.networks {
             for (layer, max_input) in [MAX_INPUT, 1.0].into_iter().enumerate() {

@@ -70,7 +70,7 @@ fn predict_network(
 }
 
 /// Mean loss of each network, in nats for each force.
-pub fn mean_losses(predictions: &[Vec<Vec<Prediction>>]) -> Vec<f64> {
+pub(crate) fn mean_losses(predictions: &[Vec<Vec<Prediction>>]) -> Vec<f64> {
     let mean = |forces: &Vec<Vec<Prediction>>| {
         let rows: usize = forces.iter().map(Vec::len).sum();
         let sum: f64 = forces.iter().flatten().map(Prediction::loss).sum();

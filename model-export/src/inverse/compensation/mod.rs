@@ -59,7 +59,7 @@ pub(super) struct Converter<'a> {
 }
 
 /// When the board has a covariate of a recording; `None`: always.
-pub fn board_condition(covariate: &str) -> Option<&'static str> {
+pub(crate) fn board_condition(covariate: &str) -> Option<&'static str> {
     match covariate {
         "opening_mm" => Some("after homing"),
         "motor_iq_a" | "motor_angle_rad" => Some("while the rotor sensor works"),

@@ -240,7 +240,7 @@ impl Resolver<'_> {
 }
 
 /// Bytes of the shortest value.
-pub fn min_bytes(types: &[MessageType], kind: Kind) -> u64 {
+pub(crate) fn min_bytes(types: &[MessageType], kind: Kind) -> u64 {
     match kind {
         Kind::Number(number) => number.size() as u64,
         Kind::Flag => 1,
@@ -249,7 +249,6 @@ pub fn min_bytes(types: &[MessageType], kind: Kind) -> u64 {
     }
 }
 
-/// A line of a definition.
 struct Line<'a> {
     /// Type without its count.
     kind: &'a str,
