@@ -73,26 +73,26 @@ pub struct BeamResponse {
 
 impl BeamResponse {
     /// Maximum total stress in Pa.
-    pub fn stress_pa(&self) -> f64 {
+    pub(crate) fn stress_pa(&self) -> f64 {
         self.bending_pa + self.axial_pa
     }
 
     /// Equivalent fully reversed stress amplitude in Pa. The axial stress keeps its sign under reversed load,
     /// which gives a mean stress; rule of Smith, Watson and Topper (Dowling et al., Fatigue Fract. Engng.
     /// Mater. Struct. 32, 2009).
-    pub fn reversed_pa(&self) -> f64 {
+    pub(crate) fn reversed_pa(&self) -> f64 {
         (self.stress_pa() * self.bending_pa).sqrt()
     }
 }
 
 impl Beam {
     /// Area of the section in m^2.
-    pub fn area_m2(&self) -> f64 {
+    pub(crate) fn area_m2(&self) -> f64 {
         self.width_m * self.thickness_m
     }
 
     /// Second moment of the section in m^4.
-    pub fn second_moment_m4(&self) -> f64 {
+    pub(crate) fn second_moment_m4(&self) -> f64 {
         self.width_m * self.thickness_m.powi(3) / 12.0
     }
 
@@ -111,17 +111,6 @@ impl Beam {
         match self.support {
             Support::ClampedFree => self.bend_free(force_n),
             Support::ClampedClamped | Support::ClampedGuided => self.bend_clamped(force_n),
-        }
-    }
-
-    /// Force in N that moves the magnet by `deflection_m`.
-    pub fn force_at(&self, deflection_m: f64) -> f64 {
-        match self.support {
-            Support::ClampedFree => self.stiffness_n_per_m() * deflection_m,
-            Support::ClampedClamped | Support::ClampedGuided => {
-                let (section, spans) = self.spans();
-                spans * section.force_at(deflection_m)
-            }
         }
     }
 
@@ -180,7 +169,6 @@ mod tests;
 /// remains to be solved.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Span {
-    /// Length in m.
     pub(super) length_m: f64,
     /// EI in N m^2.
     pub(super) stiffness_nm2: f64,
@@ -224,21 +212,13 @@ impl Span {
         // The force is convex in u and the start is not below the solution: Newton's method converges
         // monotonically.
         let start = (load / 60.0_f64.sqrt()).min((load / 8.0_f64.sqrt()).cbrt());
-        let u = solve(load, start, force_share);
+        let u = solve(load, start);
         let half_m = 0.5 * self.length_m;
         Stretched {
             deflection_m: (self.gyration_m * deflection_share(u)).copysign(force_n),
             moment_nm: force_n.abs() * half_m * (1.0 - u * u * slack(u)),
             axial_n: self.stiffness_nm2 * (u / half_m).powi(2),
         }
-    }
-
-    /// Force in N that moves the guide by `deflection_m`.
-    pub(super) fn force_at(&self, deflection_m: f64) -> f64 {
-        let share = deflection_m.abs() / self.gyration_m;
-        let start = share * 3.0 / 60.0_f64.sqrt();
-        let u = solve(share, start, deflection_share);
-        (self.force_scale_n() * force_share(u)).copysign(deflection_m)
     }
 
     /// Force in N for which [`force_share`] is one.
@@ -277,16 +257,16 @@ fn stretch(u: f64) -> f64 {
     terms.fold(0.0, |sum, (n, term)| sum * u * u + (n as f64 - 1.0) * term)
 }
 
-/// Solves `of(u) = value` by Newton's method with numerical derivatives.
-fn solve(value: f64, start: f64, of: fn(f64) -> f64) -> f64 {
+/// Solves [`force_share`]`(u) = value` by Newton's method with numerical derivatives.
+fn solve(value: f64, start: f64) -> f64 {
     if value == 0.0 {
         return 0.0;
     }
     let mut u = start;
     for _ in 0..60 {
         let step = 1e-5 * u;
-        let slope = (of(u + step) - of(u - step)) / (2.0 * step);
-        let next = u - (of(u) - value) / slope;
+        let slope = (force_share(u + step) - force_share(u - step)) / (2.0 * step);
+        let next = u - (force_share(u) - value) / slope;
         // Keeps u positive.
         let next = next.max(0.1 * u);
         let done = (next - u).abs() <= ACCURACY * u;

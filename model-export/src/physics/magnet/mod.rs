@@ -15,7 +15,7 @@ pub mod cylinder;
 pub use cylinder::Cylinder;
 
 /// Gauss per tesla.
-pub const GAUSS_PER_TESLA: f64 = 1e4;
+pub(crate) const GAUSS_PER_TESLA: f64 = 1e4;
 
 /// A uniformly magnetised body in the body frame: origin at the centre, axis along `z`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -129,7 +129,7 @@ impl Magnet {
     }
 
     /// [`Magnet::unit_field_and_gradient`] at many points.
-    pub fn unit_fields_and_gradients(
+    pub(crate) fn unit_fields_and_gradients(
         &self,
         at_mm: &[Vector3<f64>],
     ) -> Vec<(Vector3<f64>, Matrix3<f64>)> {
@@ -142,7 +142,7 @@ impl Magnet {
     }
 
     /// Distance from the centre to the surface along the body axis in mm.
-    pub fn half_length_mm(&self) -> f64 {
+    pub(crate) fn half_length_mm(&self) -> f64 {
         match self.body {
             MagnetBody::Cylinder(cylinder) | MagnetBody::Tube { outer: cylinder, .. } => {
                 0.5 * cylinder.length_mm
@@ -152,26 +152,13 @@ impl Magnet {
     }
 
     /// Distance from the centre to the surface perpendicular to the body axis in mm.
-    pub fn half_width_mm(&self) -> f64 {
+    pub(crate) fn half_width_mm(&self) -> f64 {
         0.5 * match self.body {
             MagnetBody::Cylinder(cylinder) | MagnetBody::Tube { outer: cylinder, .. } => {
                 cylinder.diameter_mm
             }
             MagnetBody::Cube { side_mm } => side_mm,
             MagnetBody::Sphere { diameter_mm } => diameter_mm,
-        }
-    }
-
-    /// Volume in mm^3: with the remanence it determines the far field.
-    pub fn volume_mm3(&self) -> f64 {
-        match self.body {
-            MagnetBody::Cylinder(cylinder) => cylinder.volume_mm3(),
-            MagnetBody::Tube { outer, hole_mm } => {
-                let hole = Cylinder { diameter_mm: hole_mm, ..outer };
-                outer.volume_mm3() - hole.volume_mm3()
-            }
-            MagnetBody::Cube { side_mm } => side_mm.powi(3),
-            MagnetBody::Sphere { diameter_mm } => std::f64::consts::PI / 6.0 * diameter_mm.powi(3),
         }
     }
 
