@@ -111,7 +111,7 @@ pub fn run(args: &Args) -> Result<()> {
     let comparison = compare(last, folder, baseline, ALIGNMENT, options)?;
     print_notes(&comparison.notes);
     let of_base = comparison.other.as_deref().unwrap_or(&comparison);
-    let verdict = text::comparison::verdict(of_base);
+    let verdict = text::comparison::conclusion::verdict(of_base);
     terminal::print(&terminal::paragraph(&format!("2. Compare. {verdict}")))?;
     if args.verbose {
         terminal::print(&format!("\n{}", text::comparison::format_report(of_base)))?;
@@ -120,7 +120,7 @@ pub fn run(args: &Args) -> Result<()> {
     if args.verbose {
         terminal::print(&format!("\n{}", format_summary(&diagnosis)))?;
     }
-    let held_out = text::comparison::validation(&comparison);
+    let held_out = text::comparison::conclusion::validation(&comparison);
     terminal::print(&error_table(&diagnosis, &model_path, &models, &held_out))?;
     let built = build(last, ModelVariant::Fitted)?;
     write_output(&args.output.join("tables.rs"), tables_source(&built).as_bytes(), TABLES_MARK)?;
@@ -190,7 +190,7 @@ fn diagnosed(base: &CampaignFit, model_path: &Path, options: FitOptions) -> Resu
 
 /// What is missing, with the formulas in full.
 fn found(diagnosis: &Diagnosis) -> String {
-    let verdict = text::diagnosis::verdict(diagnosis);
+    let verdict = text::diagnosis::conclusion::verdict(diagnosis);
     let models = diagnosis.formulas.iter().flat_map(|formula| &formula.models);
     let formulas: Vec<String> = models
         .filter_map(|model| Some((model.expression.as_ref()?, nonlinear_values(model))))
@@ -278,11 +278,11 @@ fn error_table(
                 .to_owned(),
         );
     }
-    notes.extend(text::diagnosis::rising_force(&diagnosis.staircase));
+    notes.extend(text::diagnosis::steps::rising_force(&diagnosis.staircase));
     let note = if notes.is_empty() { String::new() } else { terminal::paragraph(&notes.join(" ")) };
     let heading = terminal::paragraph(&format!(
         "4. Add. {} {} Held-out rows: {held_out}.",
-        text::diagnosis::force_headline(diagnosis),
+        text::diagnosis::steps::force_headline(diagnosis),
         text::force_error::TERMS
     ));
     format!("{heading}{table}\n{note}")

@@ -9,7 +9,7 @@ use analysis::comparison::compare;
 use analysis::notes::Note;
 use model_export::fit::FitOptions;
 use model_export::recordings::align::Alignment;
-use report::text::comparison::verdict;
+use report::text::comparison::conclusion::verdict;
 use serde_json::Value;
 use tests::campaign_copy::CampaignCopy;
 use tests::data;

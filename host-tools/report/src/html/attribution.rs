@@ -2,12 +2,12 @@
 
 use crate::html::palette::Role;
 use crate::html::plot::{
-    Along, AxisScale, Failure, Paper, Swatch, axes, bounds, figure, key, lines, stroke,
+    Along, Failure, Paper, Swatch, axes, figure, key, lines, range_of_bands, stroke, with_unit,
 };
 use crate::html::summary::initial;
 use crate::html::tables::table;
 use crate::html::{both, palette, sensor_that_errs_most};
-use crate::text::comparison::{conditions, not_recorded, residual_words};
+use crate::text::comparison::attribution::{conditions, not_recorded, residual_words};
 use analysis::compare::{Attribution, Comparison};
 use analysis::numbers::{number, whole_percent};
 use maud::{Markup, html};
@@ -16,9 +16,6 @@ use std::ops::Range;
 
 /// Size of a plot in pixels.
 const SIZE: (u32, u32) = (340, 210);
-/// Confidence bands beyond this multiple of the largest mean are clipped: bins of few rows would
-/// flatten all others.
-const FURTHEST_BAND: f64 = 1.6;
 
 /// Selected covariates of the model, and of the baseline if any; the others are folded.
 pub fn section(comparison: &Comparison) -> Markup {
@@ -123,30 +120,15 @@ fn scale(models: &[(Role, &str, &Comparison)], sensor: u32) -> Range<f64> {
         means.extend(mean);
         bands.extend(band.into_iter().flatten().flat_map(|(low, high)| [low, high]));
     }
-    let (least, greatest) = bounds(means).unwrap_or((-1.0, 1.0));
-    let size = least.abs().max(greatest.abs()).max(f64::MIN_POSITIVE);
-    let (low, high) = bounds(bands).unwrap_or((least, greatest));
-    let furthest = FURTHEST_BAND * size;
-    let low = low.min(least).min(0.0).max(-furthest);
-    let high = high.max(greatest).max(0.0).min(furthest);
-    low - 0.04 * (high - low)..high + 0.04 * (high - low)
+    range_of_bands(means, bands, 0.04)
 }
 
 fn plot(located: &Attribution, sensor_at: usize, sensor: u32, scale: &Range<f64>) -> Markup {
-    let unit = match located.unit {
-        "" => String::new(),
-        unit => format!(" in {unit}"),
-    };
-    let words = format!("{}{unit}", located.words);
+    let words = with_unit(&located.words, located.unit);
     let across =
         Along { labels: 4, ..Along::holding(&words, located.bins.iter().map(|bin| bin.centre)) };
     let symbol = located.error_unit.symbol();
-    let upwards = Along {
-        words: symbol.to_owned(),
-        range: scale.clone(),
-        labels: 4,
-        scale: AxisScale::Linear,
-    };
+    let upwards = Along::linear(symbol, scale.clone(), 4);
     let says =
         format!("Mean residual of sensor {sensor} in {symbol} over {words}, with 95 % bands.");
     figure(SIZE, &says, |paper| draw(paper, located, sensor_at, &across, &upwards))

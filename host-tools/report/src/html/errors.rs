@@ -1,6 +1,6 @@
 //! Errors by sensor as bars with the noise floor.
 
-use crate::text::comparison::missing_forces;
+use crate::text::comparison::conclusion::missing_forces;
 use maud::{Markup, html};
 use plotters::prelude::*;
 

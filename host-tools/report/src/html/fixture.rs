@@ -241,6 +241,14 @@ fn recordings_of(count: usize) -> RecordingSet {
     RecordingSet { names: names.collect(), is_all: false }
 }
 
+/// Asserts that no number without a value was written or drawn.
+pub fn assert_no_invalid_number(page: &str) {
+    for word in ["NaN", "inf,", "inf ", "\"inf", "-2147483648", "2147483647"] {
+        let at = page.find(word).map(|at| &page[at.saturating_sub(80)..at + 20]);
+        assert_eq!(at, None, "{word}");
+    }
+}
+
 /// Everything at once: two models and two mistakes of the rig.
 pub fn full(recordings: usize) -> Comparison {
     let place = Location {

@@ -4,7 +4,7 @@ use maud::{Markup, html};
 use plotters::prelude::*;
 use plotters::style::colors::colormaps::{ColorMap, ViridisRGB};
 
-use crate::html::plot::{Along, AxisScale, Failure, Paper, axes, bounds, figure, letters, px};
+use crate::html::plot::{Along, Failure, Paper, axes, bounds, figure, letters, px};
 use crate::html::summary::initial;
 use crate::html::{both, palette};
 use analysis::compare::{Comparison, ResidualMap};
@@ -119,7 +119,7 @@ fn grid(
     let ends = |edges: &[f64]| bounds(edges.iter().copied()).unwrap_or((0.0, 1.0));
     let axis = |words: &String, edges: &[f64]| {
         let (from, to) = ends(edges);
-        Along { words: words.clone(), range: from..to, labels: 6, scale: AxisScale::Linear }
+        Along::linear(words, from..to, 6)
     };
     let [across, upwards] = &map.axes;
     let (across, upwards) = (axis(across, &map.across), axis(upwards, &map.upwards));

@@ -78,16 +78,19 @@ pub enum AxisScale {
 /// Axis: label with unit, and range.
 #[derive(Clone, Debug)]
 pub struct Along {
-    /// Label with unit.
     pub words: String,
     pub range: Range<f64>,
     /// Approximate number of tick labels; 0 for categories.
     pub labels: usize,
-    /// What the numbers are.
     pub scale: AxisScale,
 }
 
 impl Along {
+    /// Linear axis with this range.
+    pub fn linear(words: impl Into<String>, range: Range<f64>, labels: usize) -> Self {
+        Self { words: words.into(), range, labels, scale: AxisScale::Linear }
+    }
+
     /// Range of the values with a margin; length 1 for constant values.
     pub fn holding(words: impl Into<String>, values: impl IntoIterator<Item = f64>) -> Self {
         let (least, greatest) = bounds(values).unwrap_or((0.0, 1.0));
@@ -95,23 +98,13 @@ impl Along {
             span if span > 0.0 => 0.04 * span,
             _ => 0.5,
         };
-        Self {
-            words: words.into(),
-            range: least - margin..greatest + margin,
-            labels: 5,
-            scale: AxisScale::Linear,
-        }
+        Self::linear(words, least - margin..greatest + margin, 5)
     }
 
     /// From zero to slightly above the maximum.
     pub fn bars(words: impl Into<String>, values: impl IntoIterator<Item = f64>) -> Self {
         let greatest = bounds(values).map_or(0.0, |(_, greatest)| greatest);
-        Self {
-            words: words.into(),
-            range: 0.0..if greatest > 0.0 { 1.08 * greatest } else { 1.0 },
-            labels: 5,
-            scale: AxisScale::Linear,
-        }
+        Self::linear(words, 0.0..if greatest > 0.0 { 1.08 * greatest } else { 1.0 }, 5)
     }
 
     /// Logarithmic axis for these decimal logarithms.
@@ -121,12 +114,7 @@ impl Along {
 
     /// Axis of `count` categories, each one unit wide.
     pub fn things(count: usize) -> Self {
-        Self {
-            words: String::new(),
-            range: 0.0..count.max(1) as f64,
-            labels: 0,
-            scale: AxisScale::Linear,
-        }
+        Self::linear("", 0.0..count.max(1) as f64, 0)
     }
 
     /// Axis of these names, at 0, 1 and so on.
@@ -204,7 +192,28 @@ pub fn bounds(values: impl IntoIterator<Item = f64>) -> Option<(f64, f64)> {
     )
 }
 
-/// Draws axes with labels.
+/// Bands beyond this multiple of the largest mean are clipped: bins of few rows would flatten all others.
+const FURTHEST_BAND: f64 = 1.6;
+
+/// Range that holds zero, these means and their bands, with a margin as a fraction.
+pub fn range_of_bands(
+    means: impl IntoIterator<Item = f64>,
+    bands: impl IntoIterator<Item = f64>,
+    margin: f64,
+) -> Range<f64> {
+    let (least, greatest) = bounds(means).unwrap_or((-1.0, 1.0));
+    let furthest = FURTHEST_BAND * least.abs().max(greatest.abs()).max(f64::MIN_POSITIVE);
+    let (low, high) = bounds(bands).unwrap_or((least, greatest));
+    let low = low.min(least).min(0.0).max(-furthest);
+    let high = high.max(greatest).max(0.0).min(furthest);
+    low - margin * (high - low)..high + margin * (high - low)
+}
+
+/// "opening in mm"; without a unit the name alone.
+pub fn with_unit(words: &str, unit: &str) -> String {
+    if unit.is_empty() { words.to_owned() } else { format!("{words} in {unit}") }
+}
+
 pub fn axes<'a, 'b>(
     paper: &Paper<'b>,
     across: &Along,
@@ -262,6 +271,31 @@ pub fn centred(role: Role, times: f64) -> TextStyle<'static> {
     letters(role, times).pos(Pos::new(HPos::Center, VPos::Center))
 }
 
+/// Curve: colour and points.
+pub type Curve = (Role, Vec<(f64, f64)>);
+
+/// Maximum number of points of a curve, about two per pixel.
+const CURVE_POINTS: usize = 900;
+
+/// Curves as lines of `width` pixels.
+pub fn drawn_curves(
+    says: &str,
+    across: &Along,
+    upwards: &Along,
+    width: f64,
+    curves: &[Curve],
+) -> Markup {
+    figure(HALF, says, |paper| {
+        let mut chart = axes(paper, across, upwards)?;
+        for (role, points) in curves {
+            let every = points.len().div_ceil(CURVE_POINTS).max(1);
+            let thinned: Vec<_> = points.iter().copied().step_by(every).collect();
+            chart.draw_series([PathElement::new(thinned, stroke(*role, width))])?;
+        }
+        Ok(())
+    })
+}
+
 /// Splits points at gaps into lines.
 pub fn lines(points: &[(f64, f64)]) -> Vec<Vec<(f64, f64)>> {
     points
@@ -287,13 +321,9 @@ pub fn key(entries: &[(Swatch, Role, String)]) -> Markup {
 pub enum Swatch {
     /// Line with the dashes of its colour.
     Line,
-    /// Broad line.
     Broad,
-    /// Filled area.
     Full,
-    /// Outlined area.
     Framed,
-    /// Short mark.
     Mark,
 }
 

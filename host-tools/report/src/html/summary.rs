@@ -6,7 +6,8 @@
 use crate::html::both;
 use crate::html::palette::{self, Role};
 use crate::html::plot::{Failure, Paper, Swatch, centred, figure, key, letters, px, stroke};
-use crate::text::comparison::{force_headline, force_origins, validation, verdict};
+use crate::text::comparison::conclusion::{validation, verdict};
+use crate::text::comparison::{force_headline, force_origins};
 use crate::text::findings;
 use analysis::compare::Comparison;
 use analysis::numbers::{number, percent};
@@ -104,7 +105,6 @@ pub fn initial(role: Role, letter: &str) -> Markup {
     html! { span.letter style=(format!("color:var(--{})", role.name)) { (letter) } }
 }
 
-/// Key results and the scale.
 pub fn section(comparison: &Comparison) -> Markup {
     if pools(comparison).is_empty() {
         return html! {};

@@ -1,15 +1,18 @@
 //! Tables of the errors.
 
-use maud::{Markup, html};
+use maud::{Markup, Render, html};
 
-use crate::html::both;
+use crate::text::comparison::{field_rows, force_rows};
+use crate::text::terminal::TextTable;
 use analysis::compare::Comparison;
-use analysis::numbers::{maybe, number, percent};
-use analysis::statistics::ErrorStatistics;
-use model_export::recordings::columns::Axis;
+use analysis::numbers::{maybe, number};
 
 /// Table in a horizontally scrolling box with a fixed first column.
-pub fn table(caption: &str, heads: &[&str], rows: impl IntoIterator<Item = Vec<Markup>>) -> Markup {
+pub fn table<C: Render>(
+    caption: &str,
+    heads: &[impl Render],
+    rows: impl IntoIterator<Item = impl IntoIterator<Item = C>>,
+) -> Markup {
     html! {
         div.wide tabindex="0" role="region" aria-label=(caption) {
             table {
@@ -29,75 +32,55 @@ pub fn table(caption: &str, heads: &[&str], rows: impl IntoIterator<Item = Vec<M
     }
 }
 
-fn text(words: impl AsRef<str>) -> Markup {
-    html! { (words.as_ref()) }
+/// The same table as on the terminal.
+pub fn text_table(caption: &str, shown: &TextTable) -> Markup {
+    table(caption, &shown.heads, &shown.rows)
 }
 
-/// Sensor and axis, and the model where there are two.
-fn whose(comparison: &Comparison, sensor: u32, axis: Axis, model: usize) -> Markup {
-    let letter = ["A", "B"].get(model).copied().unwrap_or("");
-    html! {
-        "s" (sensor) " " (axis.letter())
-        @if comparison.other.is_some() { " " span.model { (letter) } }
-    }
-}
-
-fn errors(error: &ErrorStatistics) -> Vec<Markup> {
-    [error.rms, error.mean, error.std, error.p95, error.greatest]
-        .map(|size| text(number(size)))
-        .into_iter()
-        .chain([text(percent(error.rms / error.span))])
-        .collect()
-}
-
-/// Rows of both models interleaved: sorted by sensor and axis, first model first.
-fn interleave<T: Copy>(
+/// Rows of both models under the same heads; the first cell names sensor and axis.
+fn of_both(
     comparison: &Comparison,
-    of: fn(&Comparison) -> &[T],
-    whose: fn(&T) -> (u32, Axis),
-) -> Vec<(usize, T)> {
-    let mut rows: Vec<(usize, T)> = both(comparison)
-        .into_iter()
-        .enumerate()
-        .flat_map(|(model, (_, _, evaluation))| of(evaluation).iter().map(move |row| (model, *row)))
-        .collect();
-    rows.sort_by_key(|(model, row)| (whose(row), *model));
-    rows
+    caption: &str,
+    rows_of: fn(&Comparison) -> TextTable,
+) -> Markup {
+    let TextTable { heads, rows: first, .. } = rows_of(comparison);
+    let other = comparison.other.as_deref().map_or_else(Vec::new, |other| rows_of(other).rows);
+    let with_other = first.iter().flat_map(|row| {
+        let same = other.iter().filter(|of_other| of_other[0] == row[0]);
+        std::iter::once(("A", row)).chain(same.map(|row| ("B", row)))
+    });
+    // The baseline may have other axes.
+    let alone = other.iter().filter(|row| first.iter().all(|of_first| of_first[0] != row[0]));
+    let rows = with_other.chain(alone.map(|row| ("B", row))).map(|(letter, row)| {
+        row.iter().enumerate().map(move |(column, cell)| {
+            html! {
+                (cell)
+                @if column == 0 && comparison.other.is_some() { " " span.model { (letter) } }
+            }
+        })
+    });
+    table(caption, &heads, rows)
 }
 
 /// Field errors and the composition of the floor.
 pub fn of_field(comparison: &Comparison) -> Markup {
-    let rows = interleave(comparison, |c| &c.axes, |axis| (axis.sensor, axis.axis));
-    if rows.is_empty() {
+    if comparison.axes.is_empty() {
         return html! {};
     }
-    let errors = rows.iter().map(|(model, axis)| {
-        let mut row = vec![whose(comparison, axis.sensor, axis.axis, *model)];
-        row.extend(errors(&axis.error));
-        row.push(text(number(axis.floor.total)));
-        row.push(text(number(axis.error.rms / axis.floor.total)));
-        row.push(text(number(axis.explainable)));
-        row
-    });
-    let floors = rows.iter().filter(|(model, _)| *model == 0);
-    let floors = floors.map(|(_, axis)| {
+    let floors = comparison.axes.iter().map(|axis| {
         let floor = axis.floor;
-        vec![
-            html! { "s" (axis.sensor) " " (axis.axis.letter()) },
-            text(number(floor.total)),
-            text(number(floor.white)),
-            text(number(floor.quantisation)),
-            text(number(floor.reference)),
-            text(maybe(floor.slow)),
-            text(maybe(floor.replicates)),
+        [
+            format!("s{} {}", axis.sensor, axis.axis.letter()),
+            number(floor.total),
+            number(floor.white),
+            number(floor.quantisation),
+            number(floor.reference),
+            maybe(floor.slow),
+            maybe(floor.replicates),
         ]
     });
     html! {
-        (table(
-            "Field: measured minus modelled, in gauss",
-            &["sensor", "RMS", "mean", "std", "P95", "max", "% of range", "floor", "RMS / floor", "explainable"],
-            errors,
-        ))
+        (of_both(comparison, "Field: measured minus modelled", field_rows))
         details {
             summary { "Composition of the noise floor" }
             (table(
@@ -115,36 +98,10 @@ pub fn of_field(comparison: &Comparison) -> Markup {
     }
 }
 
-/// Force errors.
 pub fn of_forces(comparison: &Comparison) -> Markup {
-    let rows = interleave(comparison, |c| &c.forces, |force| (force.sensor, force.axis));
-    if rows.is_empty() {
+    if comparison.forces.is_empty() {
         return html! {};
     }
-    let rows = rows.iter().map(|(model, force)| {
-        let mut row = vec![whose(comparison, force.sensor, force.axis, *model)];
-        row.extend(errors(&force.error));
-        row.push(text(maybe(force.tared_rms)));
-        row.push(text(number(force.floor)));
-        row.push(text(number(force.error.rms / force.floor)));
-        row.push(text(number(force.explainable)));
-        row
-    });
-    table(
-        "Forces: device minus reference, in newtons (x lateral, z longitudinal)",
-        &[
-            "sensor",
-            "RMS",
-            "mean",
-            "std",
-            "P95",
-            "greatest",
-            "% of range",
-            "RMS after tare",
-            "floor",
-            "RMS / floor",
-            "explainable",
-        ],
-        rows,
-    )
+    let caption = "Forces: device minus reference (x lateral, z longitudinal)";
+    of_both(comparison, caption, force_rows)
 }

@@ -28,6 +28,17 @@ pub fn verdict_of(effect: &str, kind: VerdictKind, reason: Reason) -> Verdict {
     }
 }
 
+/// A step without forces, at a noise floor of 0.159 G.
+pub fn step(added: &[&str], held_out_rms_g: f64) -> StaircaseStep {
+    StaircaseStep {
+        added: added.iter().map(|&name| name.to_owned()).collect(),
+        parameters: 14 + added.len(),
+        held_out_rms_g,
+        force: None,
+        floor_g: 0.159,
+    }
+}
+
 /// A shape of two sensors over four bins, the last one without rows at the second sensor.
 pub fn shape(effects: &[&str], words: &str, unit: &'static str) -> EffectShape {
     let bin = |i: usize| {
@@ -85,16 +96,9 @@ pub fn full() -> Diagnosis {
             Reason::ExplainedBetter(vec!["hysteresis".to_owned()]),
         )
     };
-    let stair = |added: &[&str], rms: f64| StaircaseStep {
-        added: added.iter().map(|&name| name.to_owned()).collect(),
-        parameters: 14 + added.len(),
-        held_out_rms_g: rms,
-        force: (rms > 1.0).then_some(ForceError::of_device(
-            0.6 * rms,
-            0.4,
-            ErrorRows::LeaveRecordingOut,
-        )),
-        floor_g: 0.159,
+    let stair = |added: &[&str], rms_g: f64| {
+        let force = ForceError::of_device(0.6 * rms_g, 0.4, ErrorRows::LeaveRecordingOut);
+        StaircaseStep { force: (rms_g > 1.0).then_some(force), ..step(added, rms_g) }
     };
     let pair = ["magnet_temperature", "sensor_temperature"];
     Diagnosis {

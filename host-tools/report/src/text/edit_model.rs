@@ -1,7 +1,7 @@
 //! Text and JSON of a model with other effects.
 
+use crate::text::comparison::conclusion::dependent_blocks;
 use crate::text::comparison::decimals;
-use crate::text::comparison::dependent_blocks;
 use analysis::compare::{AT_FLOOR, EffectOrigin};
 use analysis::diagnose::ConfoundedOffsets;
 use analysis::diagnose::fitted_model::MIN_GAIN;
@@ -15,7 +15,7 @@ use model_export::fit::joint::JointFit;
 use model_export::model_file::EffectModel;
 use serde_json::{Value, json};
 
-use crate::text::diagnosis::confounded_offsets;
+use crate::text::diagnosis::conclusion::confounded_offsets;
 use crate::text::terminal::{self, SENSORS_ACROSS};
 use crate::text::{force_error, notes};
 
@@ -24,7 +24,6 @@ const MASKING_RESIDUAL: f64 = 1.5;
 /// A smaller reduction of the error is doubtful if the magnitude is implausible.
 const WEAK_REDUCTION: f64 = 0.05;
 
-/// The report as text.
 pub fn format_report(edit: &ModelEdit) -> String {
     format!(
         "{}\n{}\n{}{}{}",
@@ -140,7 +139,6 @@ fn signal_unit(edit: &ModelEdit) -> &'static str {
     edit.campaign.signal_unit().symbol()
 }
 
-/// Decimals of the errors.
 fn digits(edit: &ModelEdit) -> usize {
     let scores = edit.after.1.sensors.iter().flat_map(|sensor| &sensor.scores);
     decimals(scores.map(|score| score.floor_g)).max(4)
@@ -237,7 +235,6 @@ fn verdict(edit: &ModelEdit) -> String {
     sentences.into_iter().flatten().collect::<Vec<_>>().join(" ")
 }
 
-/// Change of the held-out error.
 fn gain(edit: &ModelEdit) -> String {
     let rms = |tally: ErrorSums| tally.mean_square().sqrt();
     let (old, new) = (rms(edit.before.1.tally()), rms(edit.after.1.tally()));
@@ -305,7 +302,6 @@ fn gain(edit: &ModelEdit) -> String {
     )
 }
 
-/// The object of `--json`.
 pub fn to_json(edit: &ModelEdit) -> Value {
     let side = |fit: &JointFit| {
         let tally = fit.tally();

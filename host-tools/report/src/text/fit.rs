@@ -1,7 +1,7 @@
 //! Text and JSON of a fit.
 
+use crate::text::comparison::conclusion::below_floor;
 use crate::text::comparison::decimals;
-use crate::text::diagnosis::below_floor;
 use analysis::compare::{AT_FLOOR, BELOW_FLOOR, is_at_floor};
 use analysis::fit::CampaignFit;
 use analysis::noise_floor::NoiseSummary;
@@ -25,7 +25,6 @@ use crate::text::{force_error, notes};
 /// Parameters further from nominal, in tolerances, are marked: the gripper or the design file may be wrong.
 const OUTLIER_TOLERANCES: f64 = 3.0;
 
-/// The report as text.
 pub fn format_report(fit: &CampaignFit) -> String {
     let CampaignFit { campaign, fits, model, force, .. } = fit;
     let provenance = &model.provenance;
@@ -64,7 +63,6 @@ fn longest_block_s(fits: &CampaignFits) -> f64 {
     lengths.into_iter().fold(0.0, f64::max)
 }
 
-/// Table of all parameters of all sensors.
 pub fn parameters(model: &ModelFile) -> String {
     let Some(design) = &model.design else {
         return String::new();
@@ -250,7 +248,6 @@ pub fn verdict(model: &ModelFile, unit: SignalUnit) -> String {
     format!("Structure remains: {why}\n{worst}")
 }
 
-/// The object of `--json`.
 pub fn to_json(fit: &CampaignFit) -> Value {
     let model = &fit.model;
     let axis_errors = axes(model).map(|(sensor, axis)| {
@@ -261,9 +258,9 @@ pub fn to_json(fit: &CampaignFit) -> Value {
     });
     let held = model.sensors.iter().flat_map(|sensor| {
         sensor.unidentifiable.iter().map(|held| {
-            // JSON has no infinity: null is an unbounded standard error.
-            let known_within = held.sigma_tolerances.is_finite().then_some(held.sigma_tolerances);
-            json!({ "sensor": sensor.number, "shares": held.shares, "known_within": known_within })
+            let mut object = json!(held);
+            object["sensor"] = sensor.number.into();
+            object
         })
     });
     let unit = fit.campaign.signal_unit().symbol();
@@ -284,10 +281,9 @@ fn parameters_json(sensor: &SensorModel, unit: &str) -> Vec<Value> {
     let number = sensor.number;
     let mut parameters = Vec::new();
     for (name, p) in &sensor.parameters {
-        parameters.push(json!({
-            "sensor": number, "name": name, "value": p.value, "std_error": p.std_error,
-            "unit": p.unit, "identifiable": p.identifiable,
-        }));
+        let mut object = json!(p);
+        (object["sensor"], object["name"]) = (number.into(), name.as_str().into());
+        parameters.push(object);
     }
     if let Some(table) = &sensor.polynomial {
         let rows = table.terms.iter().zip(&table.coefficients_g).zip(&table.std_errors_g);

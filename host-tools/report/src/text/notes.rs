@@ -3,7 +3,7 @@
 use analysis::notes::{Note, UncompensatedEffect};
 use model_export::inverse::device_support::DeviceSupport;
 
-use crate::text::comparison::missing_forces;
+use crate::text::comparison::conclusion::missing_forces;
 use crate::text::findings;
 
 /// The note as a sentence, without a full stop.
@@ -78,7 +78,6 @@ pub fn texts(notes: &[Note]) -> Vec<String> {
     notes.iter().map(text).collect()
 }
 
-/// Whether the device compensates an effect.
 pub fn device_support(support: &DeviceSupport) -> String {
     format!("{} runs on the device: {support}.", support.effect)
 }

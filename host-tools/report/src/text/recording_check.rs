@@ -4,7 +4,7 @@ use analysis::diagnose::Reason;
 use analysis::diagnose::recording_check::RecordingCheck;
 use serde_json::{Value, json};
 
-use crate::text::diagnosis::{reason, reason_sentence, short_reason};
+use crate::text::diagnosis::reasons::{reason, reason_sentence, short_reason};
 use crate::text::terminal::{self, NARROW_WIDTH};
 
 /// A table of all effects, then reason and recommended recording of each inconclusive one.

@@ -10,9 +10,9 @@ use analysis::replay::{AxisReplay, RecordingReplay, coverage};
 use serde_json::{Value, json};
 
 use crate::text::calibration::{coverage_json, coverage_percent};
-use crate::text::{FORCES, force_error, notes, rms_or_dash, terminal};
+use crate::text::terminal::{self, or_dash};
+use crate::text::{FORCES, force_error, notes, rms_or_dash};
 
-/// The report as text.
 pub fn format_report(evaluation: &ReplayEvaluation) -> String {
     format!(
         "{}\n{}{}{}\n{}",
@@ -40,9 +40,6 @@ fn force_table(evaluation: &ReplayEvaluation) -> String {
     for pooled in pooled(&evaluation.fitted) {
         let error = pooled.sum(|track| track.error);
         let difference = pooled.sum(|track| track.fixed_minus_float).rms();
-        // Without a valid estimate there is none.
-        let or_dash =
-            |value: f64, text: String| if value.is_finite() { text } else { "-".to_owned() };
         table.add_row([
             pooled.sensor.to_string(),
             FORCES[pooled.axis].0.to_owned(),
@@ -223,7 +220,6 @@ fn model_table(evaluation: &ReplayEvaluation) -> String {
     )
 }
 
-/// The object of `--json`.
 pub fn to_json(evaluation: &ReplayEvaluation) -> Value {
     let spent = times_real_time(&evaluation.fitted);
     json!({

@@ -1,5 +1,6 @@
 //! Terminal output: tables and wrapped text.
 
+use std::fmt;
 use std::io::{ErrorKind, Write};
 use std::path::Path;
 
@@ -37,6 +38,46 @@ pub fn table<S: ToString>(headers: impl IntoIterator<Item = S>) -> Table {
         .set_width(WIDTH)
         .set_header(headers);
     table
+}
+
+/// A table of texts, for the terminal and for a page.
+#[derive(Clone, Debug)]
+pub struct TextTable {
+    pub heads: Vec<String>,
+    pub rows: Vec<Vec<String>>,
+    /// Columns of text at the left; the others are numbers.
+    pub text_columns: usize,
+    /// Maximum width on the terminal in characters.
+    pub width: u16,
+}
+
+impl TextTable {
+    pub fn new<R: IntoIterator<Item = String>>(
+        heads: &[&str],
+        text_columns: usize,
+        rows: impl IntoIterator<Item = R>,
+    ) -> Self {
+        Self {
+            heads: heads.iter().map(ToString::to_string).collect(),
+            rows: rows.into_iter().map(|row| row.into_iter().collect()).collect(),
+            text_columns,
+            width: WIDTH,
+        }
+    }
+}
+
+impl fmt::Display for TextTable {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut table = table(&self.heads);
+        table.set_width(self.width).add_rows(&self.rows);
+        right_align(&mut table, self.text_columns);
+        table.fmt(f)
+    }
+}
+
+/// The text of a value; a dash for one that is not finite.
+pub fn or_dash(value: f64, text: String) -> String {
+    if value.is_finite() { text } else { "-".to_owned() }
 }
 
 /// Aligns all columns to the right but the first `text_columns`.
@@ -87,6 +128,16 @@ pub fn styled(style: Style, text: &str, width: u16) -> String {
 /// Wraps text at [`WIDTH`]; all lines have the indentation of the first.
 pub fn paragraph(text: &str) -> String {
     wrap(text, WIDTH)
+}
+
+/// Wraps running text at [`NARROW_WIDTH`]; all lines have the indentation of the first.
+pub fn narrow(text: &str) -> String {
+    wrap(text, NARROW_WIDTH)
+}
+
+/// [`narrow`] in a style.
+pub fn narrow_styled(style: Style, text: &str) -> String {
+    styled(style, text, NARROW_WIDTH)
 }
 
 /// Wraps text at `width`; all lines have the indentation of the first.

@@ -7,7 +7,7 @@ use plotters::prelude::*;
 
 use crate::html::palette;
 use crate::html::plot::{
-    Along, AxisScale, Failure, Paper, Swatch, axes, bounds, figure, key, lines, stroke,
+    Along, Failure, Paper, Swatch, axes, figure, key, lines, range_of_bands, stroke, with_unit,
 };
 use analysis::diagnose::EffectShape;
 
@@ -17,8 +17,6 @@ const LARGE: (u32, u32) = (440, 280);
 const SMALL: (u32, u32) = (340, 200);
 /// Radius of a dot in drawing units.
 const DOT: i32 = 12;
-/// A band that reaches further than this many times the greatest mean is cut.
-const FURTHEST_BAND: f64 = 1.6;
 /// Colours of rising and falling force.
 const BRANCHES: [palette::Role; 2] = [palette::FIRST, palette::THIRD];
 /// Letters of the axes of the field.
@@ -133,21 +131,12 @@ fn points(shape: &EffectShape, (sensor, axis): (usize, usize)) -> Vec<[f64; 5]> 
 fn scale(shape: &EffectShape, channels: &[(usize, usize)]) -> Range<f64> {
     let all: Vec<[f64; 5]> = channels.iter().flat_map(|c| points(shape, *c)).collect();
     let means = all.iter().flat_map(|point| [point[1], point[4]]);
-    let (least, greatest) = bounds(means).unwrap_or((-1.0, 1.0));
-    let furthest = FURTHEST_BAND * least.abs().max(greatest.abs()).max(f64::MIN_POSITIVE);
     let bands = all.iter().flat_map(|point| [point[2], point[3]]);
-    let (low, high) = bounds(bands).unwrap_or((least, greatest));
-    let low = low.min(least).min(0.0).max(-furthest);
-    let high = high.max(greatest).max(0.0).min(furthest);
-    low - 0.06 * (high - low)..high + 0.06 * (high - low)
+    range_of_bands(means, bands, 0.06)
 }
 
 fn plot(shape: &EffectShape, of: (usize, usize), size: (u32, u32), scale: &Range<f64>) -> Markup {
-    let unit = match shape.unit {
-        "" => String::new(),
-        unit => format!(" in {unit}"),
-    };
-    let words = format!("{}{unit}", shape.words);
+    let words = with_unit(&shape.words, shape.unit);
     let says = format!(
         "Mean residual of {} in gauss over {words} before {} was added, with its 95 % band, and what that took away.",
         channel(shape, of),
@@ -158,8 +147,7 @@ fn plot(shape: &EffectShape, of: (usize, usize), size: (u32, u32), scale: &Range
         labels: if few { shape.bins.len() } else { 4 },
         ..Along::holding(&words, shape.bins.iter().map(|bin| bin.centre))
     };
-    let upwards =
-        Along { words: "G".to_owned(), range: scale.clone(), labels: 4, scale: AxisScale::Linear };
+    let upwards = Along::linear("G", scale.clone(), 4);
     let points = points(shape, of);
     figure(size, &says, |paper| draw(paper, &points, &across, &upwards))
 }

@@ -4,11 +4,11 @@ use maud::{Markup, html};
 use plotters::prelude::*;
 
 use crate::html::plot::{Along, Failure, Paper, Swatch, axes, centred, figure, key, px, stroke};
-use crate::html::tables::table;
+use crate::html::tables::text_table;
 use crate::html::{Section, palette};
-use crate::text::diagnosis as text;
+use crate::text::diagnosis::steps;
 use analysis::diagnose::{Diagnosis, StaircaseStep};
-use analysis::numbers::{maybe, number};
+use analysis::numbers::number;
 
 /// Size of the plot in pixels.
 const SIZE: (u32, u32) = (440, 280);
@@ -20,17 +20,6 @@ pub fn section(diagnosis: &Diagnosis) -> Section {
     let stairs = &diagnosis.staircase;
     let unit = diagnosis.noise.unit.symbol();
     let bars = Bars::of(stairs, unit);
-    let rows = stairs.iter().enumerate().map(|(i, stair)| {
-        vec![
-            html! { (i) ". " (text::added_effects(stair)) },
-            html! { (stair.parameters) },
-            html! { (number(stair.held_out_rms_g)) },
-            html! { (number(floors(stair))) },
-            html! { (maybe(stair.force.map(|force| force.excess_n()))) },
-            html! { (maybe(stair.force.map(|force| force.rms_n))) },
-            html! { (maybe(stair.force.map(|force| force.noise_n))) },
-        ]
-    });
     let body = html! {
         figure {
                 figcaption { (bars.caption) }
@@ -40,19 +29,12 @@ pub fn section(diagnosis: &Diagnosis) -> Section {
                     (Swatch::Mark, palette::INK, bars.floor.to_owned()),
                 ]))
             }
-            @if let Some(note) = text::rising_force(stairs) { p.note { (note) } }
-            @if !diagnosis.dropped.is_empty() { p.note { (text::dropped_steps(diagnosis)) } }
-            (table(
-                "Step by step",
-                &["added", "parameters", &format!("field RMS in {unit}"), "field RMS / floor", "force excess in N", "force RMS in N", "noise in N"],
-                rows,
-            ))
+            @if let Some(note) = steps::rising_force(stairs) { p.note { (note) } }
+            @if !diagnosis.dropped.is_empty() { p.note { (steps::dropped_steps(diagnosis)) } }
+            (text_table("Step by step", &steps::step_rows(diagnosis)))
+            p.note { (steps::STEP_NOTE) }
     };
     Section { id: "staircase", heading: "Error reduction".to_owned(), body }
-}
-
-fn floors(stair: &StaircaseStep) -> f64 {
-    stair.held_out_rms_g / stair.floor_g
 }
 
 /// What the bars show: forces in newtons, or the signal where the device computes no forces.
@@ -96,7 +78,7 @@ impl Bars {
 fn plot(stairs: &[StaircaseStep], bars: &Bars) -> Markup {
     let steps = stairs.iter().zip(&bars.list);
     let says = steps.fold(format!("Bars: {}.", bars.caption), |says, (stair, (rms, _, label))| {
-        format!("{says} {}: {}, {label}.", text::added_effects(stair), number(*rms))
+        format!("{says} {}: {}, {label}.", steps::added_effects(stair), number(*rms))
     });
     figure(SIZE, &says, |paper| draw(paper, bars))
 }

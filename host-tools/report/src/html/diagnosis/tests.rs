@@ -1,5 +1,5 @@
 use super::*;
-use crate::html::fixture::comparison;
+use crate::html::fixture::{assert_no_invalid_number, comparison};
 use crate::html::page_with;
 use crate::text::diagnosis_fixture::full;
 use analysis::compare::{ErrorRows, ForceError};
@@ -43,7 +43,7 @@ fn staircase_has_a_bar_with_its_height_per_step() {
         let height = format!("{} G.", number(step.held_out_rms_g));
         assert!(stairs.contains(&height), "{height}");
     }
-    assert!(stairs.contains("2. + hysteresis") && stairs.contains("RMS in G"));
+    assert!(stairs.contains("+ hysteresis") && stairs.contains("RMS in G"));
 
     // With forces of every step: 0.5^2 - 0.4^2 = 0.3^2.
     let mut with_forces = full();
@@ -92,9 +92,6 @@ fn invalid_numbers_are_not_drawn() {
     broken.shapes[1].bins.clear();
     let page = page(&broken);
     for id in ["diagnosis", "staircase", "found"] {
-        let section = section(&page, id);
-        for word in ["NaN", "inf,", "inf ", "\"inf", "-2147483648", "2147483647"] {
-            assert!(!section.contains(word), "{word} in {id}");
-        }
+        assert_no_invalid_number(section(&page, id));
     }
 }

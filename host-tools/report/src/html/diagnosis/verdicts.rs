@@ -3,24 +3,24 @@
 use crate::html::Section;
 use crate::html::diagnosis::effect;
 use crate::html::tables::table;
-use crate::text::diagnosis::{self as text, EquivalentSet, InconclusiveGroup};
+use crate::text::diagnosis::open_questions::{self, EquivalentSet, InconclusiveGroup};
+use crate::text::diagnosis::{INTERRUPTED_NOTE, conclusion, formulas, reasons, steps, verdicts};
 use crate::text::recording_plan;
 use analysis::diagnose::recording_plan::RecordingProposal;
 use analysis::diagnose::{Diagnosis, DiscoveredFormula, EffectShape, Verdict, VerdictKind};
 use analysis::numbers::{number, percent};
 use maud::{Markup, html};
 
-/// Table of the verdicts.
 pub fn verdict_section(diagnosis: &Diagnosis) -> Section {
-    let there = diagnosis.verdicts.iter().filter(|v| text::is_present(v));
+    let there = diagnosis.verdicts.iter().filter(|v| verdicts::is_present(v));
     let provisional = there.clone().any(|verdict| verdict.provisional);
-    let headline = text::force_headline(diagnosis);
+    let headline = steps::force_headline(diagnosis);
     let body = html! {
-        @if diagnosis.is_interrupted { p { strong { (text::INTERRUPTED_NOTE) } } }
+        @if diagnosis.is_interrupted { p { strong { (INTERRUPTED_NOTE) } } }
         @if !headline.is_empty() { p.verdict { (headline) } }
-        @for origin in text::force_origins(diagnosis) { p { (origin) } }
-        p.verdict { (text::verdict(diagnosis)) }
-        @if diagnosis.at_floor { p { strong { (text::at_floor_note(diagnosis)) } } }
+        @for origin in steps::force_origins(diagnosis) { p { (origin) } }
+        p.verdict { (conclusion::verdict(diagnosis)) }
+        @if diagnosis.at_floor { p { strong { (conclusion::at_floor_note(diagnosis)) } } }
         @if !diagnosis.staircase.is_empty() { p { (diagnosis.noise.sentence()) } }
         (next(diagnosis))
         @if !diagnosis.verdicts.is_empty() {
@@ -37,10 +37,10 @@ pub fn verdict_section(diagnosis: &Diagnosis) -> Section {
                 ],
                 diagnosis.verdicts.iter().map(row),
             ))
-            @if provisional { p.note { (text::PROVISIONAL_NOTE) } }
-            @if diagnosis.verdicts.iter().any(|v| v.kind == VerdictKind::Shadow) { p.note { (text::SHADOW_NOTE) } }
+            @if provisional { p.note { (verdicts::PROVISIONAL_NOTE) } }
+            @if diagnosis.verdicts.iter().any(|v| v.kind == VerdictKind::Shadow) { p.note { (verdicts::SHADOW_NOTE) } }
             p.note {
-                (text::significance_note(diagnosis))
+                (verdicts::significance_note(diagnosis))
                 " Typical / std. error: a typical magnitude of the effect in standard errors of these recordings."
             }
         }
@@ -51,8 +51,8 @@ pub fn verdict_section(diagnosis: &Diagnosis) -> Section {
 fn row(verdict: &Verdict) -> Vec<Markup> {
     vec![
         html! { (verdict.effect) },
-        html! { span class=(verdict.kind.id()) { (text::verdict_label(verdict)) } },
-        html! { (text::short_reason(verdict)) },
+        html! { span class=(verdict.kind.id()) { (verdicts::verdict_label(verdict)) } },
+        html! { (reasons::short_reason(verdict)) },
         html! { (number(verdict.excess_n.unwrap_or(f64::NAN))) },
         // Negative gains are shown as zero; NaN stays NaN.
         html! { (percent(if verdict.gain < 0.0 { 0.0 } else { verdict.gain })) },
@@ -62,7 +62,7 @@ fn row(verdict: &Verdict) -> Vec<Markup> {
 }
 
 fn next(diagnosis: &Diagnosis) -> Markup {
-    let heading = text::suggestion_heading(diagnosis.next.kind);
+    let heading = conclusion::suggestion_heading(diagnosis.next.kind);
     html! {
         @if !heading.is_empty() { p { (heading) } }
         @for command in &diagnosis.next.commands { pre.command tabindex="0" { (command) } }
@@ -72,7 +72,7 @@ fn next(diagnosis: &Diagnosis) -> Markup {
 /// `None` without accepted effects.
 pub fn found_section(diagnosis: &Diagnosis) -> Option<Section> {
     let there: Vec<&Verdict> =
-        diagnosis.verdicts.iter().filter(|verdict| text::is_present(verdict)).collect();
+        diagnosis.verdicts.iter().filter(|verdict| verdicts::is_present(verdict)).collect();
     let mut drawn: Vec<&EffectShape> = Vec::new();
     let mut parts = Vec::new();
     for verdict in &there {
@@ -96,36 +96,33 @@ pub fn found_section(diagnosis: &Diagnosis) -> Option<Section> {
 
 fn formula_part(diagnosis: &Diagnosis, formula: &DiscoveredFormula) -> Markup {
     let shape = diagnosis.shapes.iter().find(|shape| shape.effects.contains(&formula.name));
-    let device = text::formula_on_device(diagnosis, formula);
+    let device = formulas::formula_on_device(diagnosis, formula);
     let numbers = formula.models.first().map_or(&[][..], |model| &model.sensors);
     let heads: Vec<String> = std::iter::once("parameter".to_owned())
         .chain(numbers.iter().map(|sensor| format!("sensor {}", sensor.number)))
         .collect();
-    let heads: Vec<&str> = heads.iter().map(String::as_str).collect();
-    let rows = text::formula_values(formula).into_iter();
-    let rows = rows.map(|row| row.into_iter().map(|cell| html! { (cell) }).collect::<Vec<_>>());
     html! {
-        h3 { (text::formula_heading(diagnosis, formula)) }
+        h3 { (formulas::formula_heading(diagnosis, formula)) }
         @for model in &formula.models {
             @if let Some(expression) = &model.expression { pre.command tabindex="0" { (expression) } }
         }
-        p { (text::formula_evidence(diagnosis, formula)) }
-        p.note { (text::formula_alternatives(formula)) }
+        p { (formulas::formula_evidence(diagnosis, formula)) }
+        p.note { (formulas::formula_alternatives(formula)) }
         @if !device.is_empty() { p.note { (device) } }
         @if let Some(shape) = shape { (effect::strongest(shape)) (effect::all(shape)) }
-        (table("Values at each sensor, with standard errors", &heads, rows))
+        (table("Values at each sensor, with standard errors", &heads, formulas::formula_values(formula)))
     }
 }
 
 fn part(diagnosis: &Diagnosis, verdict: &Verdict, shape: Option<&EffectShape>) -> Markup {
-    let device = text::runs_on_device(diagnosis, &[&verdict.effect]);
+    let device = verdicts::runs_on_device(diagnosis, &[&verdict.effect]);
     html! {
-        h3 { (verdict.effect) " " span.model { (text::verdict_label(verdict)) } }
+        h3 { (verdict.effect) " " span.model { (verdicts::verdict_label(verdict)) } }
         div.pair {
             div {
-                @if !text::magnitude(verdict).is_empty() { p { strong { (text::magnitude(verdict)) } } }
-                p { (text::physics(verdict)) }
-                p.note { (text::reason_sentence(verdict)) " " (text::similar_effects(verdict)) }
+                @if !verdicts::magnitude(verdict).is_empty() { p { strong { (verdicts::magnitude(verdict)) } } }
+                p { (verdicts::physics(verdict)) }
+                p.note { (reasons::reason_sentence(verdict)) " " (verdicts::similar_effects(verdict)) }
                 @if !device.is_empty() { p.note { (device) } }
             }
             @if let Some(shape) = shape { (effect::strongest(shape)) }
@@ -136,7 +133,10 @@ fn part(diagnosis: &Diagnosis, verdict: &Verdict, shape: Option<&EffectShape>) -
 
 /// `None` without open questions.
 pub fn open_section(diagnosis: &Diagnosis) -> Option<Section> {
-    let (ties, unjudged) = (text::equivalent_sets(diagnosis), text::inconclusive_groups(diagnosis));
+    let (ties, unjudged) = (
+        open_questions::equivalent_sets(diagnosis),
+        open_questions::inconclusive_groups(diagnosis),
+    );
     let is_explained = diagnosis.unexplained.is_empty() && diagnosis.remaining.is_none();
     let none = ties.is_empty() && unjudged.is_empty() && is_explained;
     (!none).then(|| Section {
@@ -157,7 +157,6 @@ pub fn open_section(diagnosis: &Diagnosis) -> Option<Section> {
 /// The proposed recordings: what they decide, and their steps.
 pub fn planned(proposal: &RecordingProposal) -> Markup {
     let rows = proposal.decisions.iter().map(recording_plan::decision_cells);
-    let rows = rows.map(|row| row.map(|cell| html! { (cell) }).to_vec());
     html! {
         h3 { (recording_plan::heading(proposal)) }
         @if !proposal.decisions.is_empty() {
@@ -175,10 +174,10 @@ fn unexplained(Diagnosis { unexplained, remaining, noise, .. }: &Diagnosis) -> M
         @if !unexplained.is_empty() || remaining.is_some() {
             h3 { "Unexplained" }
             ul {
-                @for one in unexplained { li { (text::unexplained(one)) } }
-                @if let Some(structure) = remaining { li { (text::remaining(structure, noise.unit)) } }
+                @for one in unexplained { li { (open_questions::unexplained(one)) } }
+                @if let Some(structure) = remaining { li { (open_questions::remaining(structure, noise.unit)) } }
             }
-            @if !unexplained.is_empty() { p { (text::EXPR_HINT) } }
+            @if !unexplained.is_empty() { p { (open_questions::EXPR_HINT) } }
         }
     }
 }
@@ -194,7 +193,7 @@ fn equivalence(tie: &EquivalentSet) -> Markup {
 fn inconclusive(group: &InconclusiveGroup) -> Markup {
     html! {
         li {
-            strong { (text::listed(&group.effects)) } ": " (group.why) "."
+            strong { (verdicts::listed(&group.effects)) } ": " (group.why) "."
             (recordings("To test it, record", &group.record))
         }
     }

@@ -2,7 +2,7 @@
 //! comparison, which the page replaces with each model.
 
 use analysis::compare::Comparison;
-use analysis::diagnose::{Diagnosis, Reason, Verdict};
+use analysis::diagnose::{Diagnosis, Verdict};
 use analysis::numbers;
 use analysis::workbench::{ResidualScatter, Workbench, WorkbenchModel};
 use maud::{DOCTYPE, PreEscaped, html};
@@ -15,10 +15,13 @@ use serde_json::{Value, json};
 use crate::html::diagnosis::verdicts::planned;
 use crate::html::plot::{Along, axes, figure, px, stroke};
 use crate::html::{attribution, errors, head, histograms, map, palette, summary, traces};
-use crate::text::comparison::{force_headline, force_origins, validation, verdict};
-use crate::text::diagnosis::{
-    formula_on_device, is_present, magnitude, missing_columns, runs_on_device,
-};
+use crate::text::comparison::conclusion::{validation, verdict};
+use crate::text::comparison::{force_headline, force_origins};
+use crate::text::diagnosis::formulas::formula_on_device;
+use crate::text::diagnosis::open_questions::missing_columns;
+use crate::text::diagnosis::reasons::reason;
+use crate::text::diagnosis::steps;
+use crate::text::diagnosis::verdicts::{is_present, magnitude, runs_on_device};
 use crate::text::notes;
 
 /// The page, without a model; its script asks for one. With `live` it shows a gripper. Its scripts are those with the `nonce`.
@@ -151,13 +154,7 @@ pub fn state(
         })
     });
     let untestable = bench.untestable.iter().map(|one| {
-        let reason = match &one.reason {
-            Reason::NeedsGeometry => "it needs the design of the sensor".to_owned(),
-            Reason::NoTimeOrder => "the order of the rows carries no time".to_owned(),
-            Reason::InPolynomial => "the polynomial of the forces contains it".to_owned(),
-            other => other.missing_data().unwrap_or_else(|| "it needs a force".to_owned()),
-        };
-        json!({ "name": one.effect, "reason": reason, "record": one.record })
+        json!({ "name": one.effect, "reason": reason(&one.verdict()), "record": one.record })
     });
     let compared = with_baseline(model, baseline);
     let headline = std::iter::once(force_headline(&compared)).chain(force_origins(&compared));
@@ -219,7 +216,7 @@ pub fn diagnosis(diagnosis: &Diagnosis) -> Value {
         json!({ "name": one.name, "formulas": one.effects.iter().filter_map(formula).collect::<Vec<_>>(), "gain": one.gain, "p": one.p_value, "device": formula_on_device(diagnosis, one) })
     });
     json!({
-        "headline": crate::text::diagnosis::force_headline(diagnosis),
+        "headline": steps::force_headline(diagnosis),
         "missing": missing_columns(diagnosis),
         "steps": steps.filter(|step| !step.is_empty()).collect::<Vec<_>>(),
         "evidence": diagnosis.verdicts.iter().filter(|verdict| is_present(verdict)).map(evidence).collect::<serde_json::Map<_, _>>(),
@@ -232,7 +229,6 @@ pub fn diagnosis(diagnosis: &Diagnosis) -> Value {
 /// Drawn points of each kind.
 const POINTS: usize = 1500;
 
-/// Residuals over a covariate as a plot.
 pub fn scatter(scatter: &ResidualScatter) -> String {
     let name = &scatter.covariate.words;
     let words = match scatter.covariate.unit {
