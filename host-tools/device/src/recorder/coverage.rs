@@ -7,6 +7,7 @@ use std::f64::consts::{FRAC_PI_2, PI, TAU};
 use device_run::channel_map::covariate_values;
 use firmware::config::constants;
 use model_export::recordings::columns::{Axis, COVARIATES};
+use serde::Serialize;
 
 use super::rows::SensorRow;
 use crate::format::degrees;
@@ -21,7 +22,7 @@ const WARMING_K: f64 = 10.0;
 const HALF_TURN_MPS2: f64 = 2.0 * 9.806_65;
 
 /// Covered range of one quantity.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct CoveredRange {
     pub quantity: &'static str,
     pub unit: &'static str,

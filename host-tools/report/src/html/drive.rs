@@ -2,13 +2,13 @@
 
 use crate::html::Section;
 use crate::html::palette::{self, Role};
-use crate::html::plot::{Along, HALF, Swatch, axes, figure, key, stroke};
-use crate::html::tables::table;
+use crate::html::plot::{Along, Curve, Swatch, drawn_curves, key};
+use crate::html::tables::{table, text_table};
+use crate::text::grasp::motion_table;
 use analysis::numbers;
 use analysis::numbers::{maybe, number, percent};
 use firmware::config::constants::Constant;
 use maud::{Markup, html};
-use plotters::prelude::*;
 use sim::closed_loop::drive_result::DriveResult;
 use sim::closed_loop::motor_rig::{MotorSample, POSITION_STEP_MM};
 
@@ -25,33 +25,12 @@ pub fn sections(result: &DriveResult) -> Vec<Section> {
     ]
 }
 
-/// Curve: colour and points.
-pub(super) type Curve = (Role, Vec<(f64, f64)>);
-
-/// Maximum number of points of a curve, about two per pixel.
-const POINTS: usize = 900;
-
 /// Curves over one axis.
 pub(super) fn curves(says: &str, (across, upwards): (&str, &str), curves: &[Curve]) -> Markup {
     let all = || curves.iter().flat_map(|(_, points)| points);
+    let across = Along::holding(across, all().map(|point| point.0));
     let upwards = Along::holding(upwards, all().map(|point| point.1));
-    curves_along(says, across, &upwards, curves)
-}
-
-/// The same with this axis upwards.
-pub(super) fn curves_along(says: &str, across: &str, upwards: &Along, curves: &[Curve]) -> Markup {
-    let all = || curves.iter().flat_map(|(_, points)| points);
-    let across = Along { labels: 5, ..Along::holding(across, all().map(|point| point.0)) };
-    let drawn = figure(HALF, says, |paper| {
-        let mut chart = axes(paper, &across, upwards)?;
-        for (role, points) in curves {
-            let every = points.len().div_ceil(POINTS).max(1);
-            let thinned: Vec<_> = points.iter().copied().step_by(every).collect();
-            chart.draw_series([PathElement::new(thinned, stroke(*role, 1.5))])?;
-        }
-        Ok(())
-    });
-    html! { figure { (drawn) } }
+    html! { figure { (drawn_curves(says, &across, &upwards, 1.5, curves)) } }
 }
 
 /// Step and frequency response of the current loop.
@@ -79,7 +58,6 @@ pub fn current_response(result: &DriveResult) -> Section {
     Section { id: "current", heading: "Current loop".to_owned(), body }
 }
 
-/// Position step and its tracking error.
 pub fn position_response(result: &DriveResult) -> Section {
     let points = &result.position_step.points;
     let [from_mm, to_mm] = POSITION_STEP_MM;
@@ -100,15 +78,10 @@ pub fn position_response(result: &DriveResult) -> Section {
     Section { id: "place", heading: "Position step of 10 mm".to_owned(), body }
 }
 
-/// Table of the assumed constants.
 pub fn assumptions_section(assumed: &[Constant]) -> Section {
     let rows = assumed.iter().map(|constant| {
-        vec![
-            html! { (constant.name) },
-            html! { (numbers::decimal(constant.value, 6)) },
-            html! { (constant.unit) },
-            html! { (constant.source) },
-        ]
+        let value = numbers::decimal(constant.value, 6);
+        [constant.name, &value, constant.unit, constant.source].map(str::to_owned)
     });
     let body = html! {
         p { "No motor was available, and the paper specifies none. All results on this page are simulated and depend on these." }
@@ -136,9 +109,6 @@ pub fn time_section(result: &DriveResult) -> Section {
         places.insert(0, (palette::SECOND, asked));
     }
     let entry = |role: Role, words: &str| (Swatch::Line, role, words.to_owned());
-    let rows = result.figures().into_iter().map(|(name, value, unit)| {
-        vec![html! { (name) }, html! { (number(value)) }, html! { (unit) }]
-    });
     let time = "time in s";
     let body = html! {
         p { (result.sentence()) }
@@ -163,7 +133,7 @@ pub fn time_section(result: &DriveResult) -> Section {
             (curves("Bus voltage over time.", (time, "bus, V"),
                 &[curve(palette::FIRST, &|point| point.bus_v)]))
         }
-        (table("Run", &["quantity", "", "unit"], rows))
+        (text_table("Run", &motion_table(result)))
         p.note { "Currents, speed and position are those of the simulated motor, not measured values; voltages are the "
             "controller output." }
     };

@@ -1,11 +1,11 @@
 //! Sections of a grasp and of a ground contact.
 
 use crate::html::Section;
-use crate::html::drive::{self, Curve, curves, curves_along};
+use crate::html::drive::{self, curves};
 use crate::html::palette::{self, Role};
-use crate::html::plot::{Along, Swatch, key};
-use crate::html::tables::table;
-use analysis::numbers::number;
+use crate::html::plot::{Along, Curve, Swatch, drawn_curves, key};
+use crate::html::tables::text_table;
+use crate::text::grasp::{grasp_tables, landing_table};
 use maud::{Markup, html};
 use sim::closed_loop::grasp_result::{GraspResult, GraspSample, GraspTrace};
 use sim::closed_loop::landing::{self, LandingResult};
@@ -18,12 +18,10 @@ pub fn sections(gripped: &GraspResult) -> Vec<Section> {
     vec![grasp_section(gripped), drive::assumptions_section(&gripped.assumed())]
 }
 
-/// Title of a ground contact.
 pub fn landing_title(landed: &LandingResult) -> String {
     format!("magpie: ground contact with {} N", landed.landing.peak_n)
 }
 
-/// Sections of a ground contact.
 pub fn landing(landed: &LandingResult) -> Vec<Section> {
     vec![contact_section(landed), drive::assumptions_section(&landed.assumed())]
 }
@@ -67,6 +65,7 @@ pub fn grasp_section(gripped: &GraspResult) -> Section {
         names.push(entry(palette::THIRD, "with a current limit only"));
     }
     let across = "time since the contact in ms";
+    let [figures, states] = grasp_tables(gripped);
     let body = html! {
         p { (gripped.sentence()) }
         (key(&names))
@@ -76,8 +75,8 @@ pub fn grasp_section(gripped: &GraspResult) -> Section {
             (curves("Motor current over time.", (across, "current, A"), &currents))
             (state_plot(own, across))
         }
-        (table("States of the firmware", &["state", "from, ms"], states(gripped)))
-        (figures(gripped))
+        (text_table("States of the firmware", &states))
+        (text_table("This grasp", &figures))
         @if gripped.other.is_some() {
             p.note { "A current limit bounds the static torque. The impact force at the contact results from the rotor's \
                 kinetic energy, which a current limit does not bound: a self-locking screw retains all of it." }
@@ -100,27 +99,9 @@ fn state_plot(course: &GraspTrace, across: &str) -> Markup {
         Some(names.iter().position(|own| *own == name)? as f64)
     };
     let states = curve(course, palette::FIRST, place);
-    curves_along("State over time.", across, &Along::names(names), &[states])
-}
-
-fn states(gripped: &GraspResult) -> Vec<Vec<Markup>> {
-    let row =
-        |(time_s, name): (f64, String)| vec![html! { (name) }, html! { (number(1e3 * time_s)) }];
-    gripped.states().into_iter().map(row).collect()
-}
-
-fn figures(gripped: &GraspResult) -> Markup {
-    let other = gripped.other.as_ref().map(GraspResult::figures);
-    let mut heads = vec!["figure", "this grasp", "unit"];
-    heads.extend(other.as_ref().map(|_| "current limit"));
-    let rows = GraspResult::figures(&gripped.own).into_iter().enumerate();
-    let rows = rows.map(|(index, (name, value, unit))| {
-        let mut row = vec![html! { (name) }, html! { (number(value)) }, html! { (unit) }];
-        let baseline = other.as_ref().and_then(|other| other.get(index));
-        row.extend(baseline.map(|(_, value, _)| html! { (number(*value)) }));
-        row
-    });
-    table("This grasp", &heads, rows)
+    let across = Along::holding(across, states.1.iter().map(|point| point.0));
+    let drawn = drawn_curves("State over time.", &across, &Along::names(names), 1.5, &[states]);
+    html! { figure { (drawn) } }
 }
 
 /// Forces, contacts and centre of pressure.
@@ -131,14 +112,6 @@ pub fn contact_section(landed: &LandingResult) -> Section {
         (role, points.collect())
     };
     let entry = |role: Role, words: &str| (Swatch::Line, role, words.to_owned());
-    let rows = landed.figures().into_iter().map(|(name, [estimate, is], unit)| {
-        vec![
-            html! { (name) },
-            html! { (number(estimate)) },
-            html! { (number(is)) },
-            html! { (unit) },
-        ]
-    });
     let across = "time since the contact in ms";
     let body = html! {
         p { (landed.sentence()) }
@@ -160,7 +133,7 @@ pub fn contact_section(landed: &LandingResult) -> Section {
             (curves("Fingertips in contact over time.", (across, "fingertips in contact"),
                 &[curve(palette::FIRST, &|point| Some(f64::from(point.contacts.count_ones())))]))
         }
-        (table("Ground contact", &["quantity", "estimate", "true", "unit"], rows))
+        (text_table("Ground contact", &landing_table(landed)))
         p.note { "Each point is at the time of its sample: between two samples a short impact is higher than \
             either. Where the landing is harder than the acceleration's sensor tells, the fingertips' own inertia is \
             not compensated completely, and the force is overestimated." }

@@ -10,7 +10,7 @@ use model_export::design::{SensorDesign, design_file};
 use model_export::recordings::description::MagnetShape;
 use serde_json::{Value, json};
 
-use crate::text::terminal;
+use crate::text::terminal::{self, TextTable};
 use analysis::numbers::number;
 
 /// Limits within this fraction above the force range are reported too.
@@ -24,7 +24,7 @@ pub fn format_report(
 ) -> String {
     describe(design)
         + "\n"
-        + &tables(evaluation, shifts)
+        + &tables(evaluation, shifts).map(|table| format!("{table}\n\n")).concat()
         + &verdict(design, evaluation)
         + &binding_limits(evaluation)
 }
@@ -73,7 +73,6 @@ fn describe_magnet(shape: &MagnetShape) -> String {
 /// A quantity of both axes: name, unit, values.
 pub type AxisQuantity = (&'static str, &'static str, [f64; 2]);
 
-/// Quantities of both axes.
 pub fn figures(evaluation: &DesignEvaluation) -> Vec<AxisQuantity> {
     let both = |of: fn(&AxisEvaluation) -> f64| evaluation.axes.each_ref().map(of);
     let measured = |of: fn(&AxisEvaluation) -> f64| {
@@ -104,32 +103,30 @@ pub fn limits(evaluation: &DesignEvaluation) -> Vec<(RangeLimit, [f64; 2])> {
 }
 
 /// Tables of quantities, force limits and interference.
-pub fn tables(evaluation: &DesignEvaluation, shifts: &[FieldShift]) -> String {
-    let mut quantities = terminal::table(["", "unit", "lateral", "longitudinal"]);
-    for (name, unit, [x, z]) in figures(evaluation) {
-        quantities.add_row([name.to_owned(), unit.to_owned(), number(x), number(z)]);
-    }
-    let mut force_limits = terminal::table(["range limited by", "unit", "lateral", "longitudinal"]);
-    for (cause, [x, z]) in limits(evaluation) {
-        let [x, z] = [x, z].map(|force_n| {
+pub fn tables(evaluation: &DesignEvaluation, shifts: &[FieldShift]) -> [TextTable; 3] {
+    let quantities = figures(evaluation).into_iter();
+    let quantities = quantities
+        .map(|(name, unit, [x, z])| [name.to_owned(), unit.to_owned(), number(x), number(z)]);
+    let limits = limits(evaluation).into_iter().map(|(cause, limits_n)| {
+        let [x, z] = limits_n.map(|force_n| {
             if force_n.is_finite() { number(force_n) } else { "not reached".to_owned() }
         });
-        force_limits.add_row([cause.name().to_owned(), "N".to_owned(), x, z]);
-    }
-    let mut interference = terminal::table(["interference", "condition", "G", "counts", "N"]);
-    for shift in shifts {
-        interference.add_row([
+        [cause.name().to_owned(), "N".to_owned(), x, z]
+    });
+    let interference = shifts.iter().map(|shift| {
+        [
             shift.name.to_owned(),
             shift.meaning.to_owned(),
             number(shift.gauss),
             number(shift.resolutions),
             number(shift.newtons),
-        ]);
-    }
-    for table in [&mut quantities, &mut force_limits, &mut interference] {
-        terminal::right_align(table, 2);
-    }
-    format!("{quantities}\n\n{force_limits}\n\n{interference}\n\n")
+        ]
+    });
+    [
+        TextTable::new(&["", "unit", "lateral", "longitudinal"], 2, quantities),
+        TextTable::new(&["range limited by", "unit", "lateral", "longitudinal"], 2, limits),
+        TextTable::new(&["interference", "condition", "G", "counts", "N"], 2, interference),
+    ]
 }
 
 /// The binding constraints and their remedies.
@@ -205,7 +202,6 @@ pub fn assumptions(design: &SensorDesign) -> String {
     ))
 }
 
-/// The evaluated design as JSON.
 pub fn to_json(
     design: &SensorDesign,
     evaluation: &DesignEvaluation,
@@ -216,7 +212,7 @@ pub fn to_json(
         let (range_n, cause) = axis.limits.binding();
         let limits = RangeLimit::ALL.into_iter().zip(axis.limits.force_n);
         let limits: serde_json::Map<String, Value> = limits
-            .map(|(cause, force_n)| (cause.name().replace(' ', "_"), json!(finite(force_n))))
+            .map(|(cause, force_n)| (cause.name().replace(' ', "_"), json!(force_n)))
             .collect();
         json!({
             "range_n": range_n,
@@ -227,8 +223,8 @@ pub fn to_json(
             "sensitivity_g_per_mm": axis.sensitivity.rest_g_per_mm,
             "constancy": axis.sensitivity.constancy,
             "g_per_n": axis.g_per_n,
-            "noise_n": finite(axis.noise_n),
-            "resolution_n": finite(axis.resolution_n),
+            "noise_n": axis.noise_n,
+            "resolution_n": axis.resolution_n,
             "yield_share": axis.yield_share,
             "lean_rad": axis.tilt_rad,
             "nearer_mm": axis.gap_closure_mm,
@@ -241,26 +237,8 @@ pub fn to_json(
         "reaches": evaluation.covers_range(design.force_range_n),
         "lateral": axis(0),
         "longitudinal": axis(1),
-        "interference": shifts_json(shifts),
+        "interference": shifts,
     })
-}
-
-fn shifts_json(shifts: &[FieldShift]) -> Vec<Value> {
-    let one = |shift: &FieldShift| {
-        json!({
-            "name": shift.name,
-            "meaning": shift.meaning,
-            "gauss": shift.gauss,
-            "resolutions": shift.resolutions,
-            "newtons": finite(shift.newtons),
-        })
-    };
-    shifts.iter().map(one).collect()
-}
-
-/// `None` for infinity, which JSON lacks.
-pub fn finite(value: f64) -> Option<f64> {
-    Some(value).filter(|value| value.is_finite())
 }
 
 /// Whether the design reaches the required force range.

@@ -75,8 +75,8 @@ pub fn sweep_json(
             "range_n": candidate.range_n,
             "ended_by": candidate.cause.name(),
             "g_per_n": candidate.g_per_n,
-            "noise_n": design::finite(candidate.noise_n),
-            "interference_n": design::finite(candidate.interference_n),
+            "noise_n": candidate.noise_n,
+            "interference_n": candidate.interference_n,
         })
     };
     let causes = design::causes(candidates)

@@ -9,19 +9,29 @@ use sim::closed_loop::drive_result::DriveResult;
 use sim::closed_loop::grasp_result::{GraspResult, GraspSample, GraspTrace};
 use sim::closed_loop::landing::LandingResult;
 
-use crate::text::terminal;
+use crate::text::terminal::{self, TextTable};
 
 /// A motion as text; `report` is the path of the HTML report.
 pub fn format_motion(result: &DriveResult, report: Option<&Path>) -> String {
-    let mut table = terminal::table(["quantity", "value", "unit"]);
-    for (name, value, unit) in result.figures() {
-        table.add_row([name, &numbers::decimal(value, 3), unit]);
-    }
-    terminal::right_align(&mut table, 1);
-    let mut text = terminal::paragraph(&result.sentence());
-    text += &format!("{table}\n");
-    text += &footer(&result.assumed(), report);
-    text
+    page(&result.sentence(), &[motion_table(result)], &result.assumed(), report)
+}
+
+pub fn motion_table(result: &DriveResult) -> TextTable {
+    let rows = result.figures().into_iter();
+    let rows = rows
+        .map(|(name, value, unit)| [name, &numbers::decimal(value, 3), unit].map(str::to_owned));
+    TextTable::new(&["quantity", "value", "unit"], 1, rows)
+}
+
+/// A sentence, tables, and the footer.
+fn page(
+    sentence: &str,
+    tables: &[TextTable],
+    assumed: &[Constant],
+    report: Option<&Path>,
+) -> String {
+    let tables = tables.iter().map(|table| format!("{table}\n"));
+    terminal::paragraph(sentence) + &tables.collect::<String>() + &footer(assumed, report)
 }
 
 /// Footer of every report: assumed constants, path of the HTML report.
@@ -68,9 +78,6 @@ pub fn motion_json(
             "bus_v": point.bus_v,
         })
     });
-    let sweep = result.sweep.iter().map(|tone| {
-        json!({ "frequency_hz": tone.frequency_hz, "gain": tone.gain, "lag_deg": tone.lag_deg })
-    });
     json!({
         "simulated": true,
         "screw": format!("{:?}", result.case.lead).to_lowercase(),
@@ -81,32 +88,31 @@ pub fn motion_json(
         "figures": figures_json(&result.figures()),
         "points": points.collect::<Vec<_>>(),
         "current_step": result.step.points,
-        "current_sweep": sweep.collect::<Vec<_>>(),
+        "current_sweep": result.sweep,
         "assumed": assumed_json(&result.assumed()),
     })
 }
 
 /// A grasp as text; `report` is the path of the HTML report.
 pub fn format_grasp(result: &GraspResult, report: Option<&Path>) -> String {
-    let mut headers = vec!["quantity", "value", "unit"];
-    headers.extend(result.other.as_ref().map(|_| "current limit"));
-    let mut table = terminal::table(headers);
+    page(&result.sentence(), &grasp_tables(result), &result.assumed(), report)
+}
+
+/// The results of a grasp, next to those of a current limit, and the states of the firmware.
+pub fn grasp_tables(result: &GraspResult) -> [TextTable; 2] {
+    let mut heads = vec!["quantity", "value", "unit"];
+    heads.extend(result.other.as_ref().map(|_| "current limit"));
     let other = result.other.as_ref().map(GraspResult::figures);
-    for (index, (name, value, unit)) in GraspResult::figures(&result.own).into_iter().enumerate() {
-        let mut row = vec![name.to_owned(), numbers::decimal(value, 2), unit.to_owned()];
+    let rows = GraspResult::figures(&result.own).into_iter().enumerate();
+    let rows = rows.map(|(index, (name, value, unit))| {
         let other = other.as_ref().and_then(|other| other.get(index));
-        row.extend(other.map(|(_, value, _)| numbers::decimal_or_dash(*value, 2)));
-        table.add_row(row);
-    }
-    terminal::right_align(&mut table, 1);
-    let mut states = terminal::table(["from, ms", "state"]);
-    for (time_s, state) in result.states() {
-        states.add_row([numbers::decimal(1e3 * time_s, 0), state]);
-    }
-    let mut page = terminal::paragraph(&result.sentence());
-    page += &format!("{table}\n{states}\n");
-    page += &footer(&result.assumed(), report);
-    page
+        let other = other.map(|(_, value, _)| numbers::decimal_or_dash(*value, 2));
+        let own = [name.to_owned(), numbers::decimal(value, 2), unit.to_owned()];
+        own.into_iter().chain(other).collect::<Vec<_>>()
+    });
+    let states = result.states().into_iter();
+    let states = states.map(|(time_s, state)| [numbers::decimal(1e3 * time_s, 0), state]);
+    [TextTable::new(&heads, 1, rows), TextTable::new(&["from, ms", "state"], usize::MAX, states)]
 }
 
 /// The object of `--json` of a grasp with parameters perturbed by up to `scatter`.
@@ -145,35 +151,19 @@ pub fn grasp_json(result: &GraspResult, scatter: f64, report: Option<&Path>) -> 
 
 /// A landing as text; `report` is the path of the HTML report.
 pub fn format_landing(result: &LandingResult, report: Option<&Path>) -> String {
-    let mut table = terminal::table(["quantity", "estimated", "true", "unit"]);
-    for (name, [estimate, truth], unit) in result.figures() {
-        table.add_row([
-            name.to_owned(),
-            numbers::decimal_or_dash(estimate, 2),
-            numbers::decimal_or_dash(truth, 2),
-            unit.to_owned(),
-        ]);
-    }
-    terminal::right_align(&mut table, 1);
-    let mut page = terminal::paragraph(&result.sentence());
-    page += &format!("{table}\n");
-    page += &footer(&result.assumed(), report);
-    page
+    page(&result.sentence(), &[landing_table(result)], &result.assumed(), report)
+}
+
+pub fn landing_table(result: &LandingResult) -> TextTable {
+    let rows = result.figures().into_iter().map(|(name, values, unit)| {
+        let [estimate, truth] = values.map(|value| numbers::decimal_or_dash(value, 2));
+        [name.to_owned(), estimate, truth, unit.to_owned()]
+    });
+    TextTable::new(&["quantity", "estimated", "true", "unit"], 1, rows)
 }
 
 /// The object of `--json` of a landing that lasts `lasts_ms`.
 pub fn landing_json(result: &LandingResult, lasts_ms: f64, report: Option<&Path>) -> Value {
-    let points = result.points.iter().map(|point| {
-        json!({
-            "time_s": point.time_s,
-            "true_n": point.true_n,
-            "told_n": point.estimated_n,
-            "peak_n": point.held_n,
-            "along_mm": point.along_mm,
-            "across_mm": point.across_mm,
-            "contacts": point.contacts,
-        })
-    });
     let estimates: Vec<_> = result
         .figures()
         .into_iter()
@@ -187,7 +177,7 @@ pub fn landing_json(result: &LandingResult, lasts_ms: f64, report: Option<&Path>
         "lasts_ms": lasts_ms,
         "report": report,
         "figures": figures_json(&estimates),
-        "points": points.collect::<Vec<_>>(),
+        "points": result.points,
         "assumed": assumed_json(&result.assumed()),
     })
 }

@@ -3,6 +3,7 @@
 use crate::closed_loop::motor_rig::{DriveCase, MotorRig, periods};
 use crate::drivetrain::PERIOD_S;
 use firmware::motor::{MotorCommand, Setpoint};
+use serde::Serialize;
 use std::f64::consts::TAU;
 
 /// Inertia of the locked rotor, in kg m^2.
@@ -34,7 +35,7 @@ pub struct StepResponse {
 }
 
 /// Response at one frequency.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct FrequencyPoint {
     /// In Hz.
     pub frequency_hz: f64,

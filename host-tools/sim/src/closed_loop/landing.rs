@@ -14,6 +14,7 @@ use firmware::grip::states::TaskState;
 use firmware::protocol::messages::{Command, Foot};
 use firmware::sensors::hall::SENSORS;
 use firmware::sensors::imu::decode;
+use serde::Serialize;
 use std::f64::consts::PI;
 
 /// Opening of the closed fingers, in mm.
@@ -76,15 +77,17 @@ pub struct Landing {
 }
 
 /// State of the foot at one time.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct LandingSample {
     /// Time since touchdown, in s.
     pub time_s: f64,
     /// True ground force on all fingertips, in N.
     pub true_n: f64,
     /// Reported ground force in N.
+    #[serde(rename = "told_n")]
     pub estimated_n: f64,
     /// Reported peak force on one fingertip over the last milliseconds, in N.
+    #[serde(rename = "peak_n")]
     pub held_n: f64,
     /// Reported centre of pressure in mm along the fingers.
     pub along_mm: f64,

@@ -245,18 +245,13 @@ fn format_check(check: &CheckResult) -> String {
 }
 
 fn check_json(check: &CheckResult) -> Value {
-    let range = |range: &CoveredRange| {
-        json!({
-            "quantity": range.quantity,
-            "unit": range.unit,
-            "min": range.min,
-            "max": range.max,
-            "needed": range.needed,
-            "share": range.share(),
-        })
-    };
+    let ranges = check.ranges.iter().map(|range| {
+        let mut object = json!(range);
+        object["share"] = range.share().into();
+        object
+    });
     json!({
-        "ranges": check.ranges.iter().map(range).collect::<Vec<_>>(),
+        "ranges": ranges.collect::<Vec<_>>(),
         "estimated_forces": check.estimated_forces,
         "effects": recording_check::check_json(&check.effects),
     })

@@ -21,6 +21,7 @@ pub mod motor;
 
 use firmware::config::constants::{self, Constant, assumed, stated};
 use nalgebra::{Matrix2x3, Matrix3, Matrix3x2, Vector3};
+use serde::Serialize;
 
 pub use misalignment::{DRAWS, MountingSamples, MountingScatter};
 
@@ -127,7 +128,7 @@ impl InterferenceSources {
 }
 
 /// Effect of one source on a sensor.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct FieldShift {
     /// The source.
     pub name: &'static str,

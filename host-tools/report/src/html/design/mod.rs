@@ -13,7 +13,7 @@ use maud::{Markup, html};
 use plotters::prelude::*;
 
 use crate::html::palette::{self, Role};
-use crate::html::plot::{Along, HALF, Swatch, axes, figure, key, px, stroke};
+use crate::html::plot::{Along, HALF, Swatch, axes, drawn_curves, figure, key, px};
 
 /// Colours of up to four series.
 const ROLES: [Role; 4] = [palette::FIRST, palette::SECOND, palette::THIRD, palette::INK];
@@ -28,17 +28,14 @@ fn curves(
     (across, upwards): (Along, Along),
     curves: &[(String, Vec<(f64, f64)>)],
 ) -> Markup {
-    let drawn = figure(HALF, says, |paper| {
-        let mut chart = axes(paper, &across, &upwards)?;
-        for ((_, points), role) in curves.iter().zip(ROLES) {
-            chart.draw_series([PathElement::new(points.clone(), stroke(role, 1.8))])?;
-        }
-        Ok(())
-    });
-    let entries = curves.iter().zip(ROLES);
-    let entries: Vec<_> =
-        entries.map(|((name, _), role)| (Swatch::Line, role, name.clone())).collect();
-    html! { figure { (drawn) } (key(&entries)) }
+    let entries: Vec<_> = curves
+        .iter()
+        .zip(ROLES)
+        .map(|((name, _), role)| (Swatch::Line, role, name.clone()))
+        .collect();
+    let curves: Vec<_> =
+        curves.iter().zip(ROLES).map(|((_, points), role)| (role, points.clone())).collect();
+    html! { figure { (drawn_curves(says, &across, &upwards, 1.8, &curves)) } (key(&entries)) }
 }
 
 /// Point cloud and its colour.

@@ -11,9 +11,9 @@ use model_export::physics::ForwardModel;
 use crate::html::Section;
 use crate::html::design::curves;
 use crate::html::plot::Along;
-use crate::html::tables::table;
+use crate::html::tables::{table, text_table};
 use crate::text::design as text;
-use analysis::numbers::number;
+use crate::text::terminal::TextTable;
 
 /// Points per curve.
 const POINTS: u32 = 100;
@@ -25,30 +25,29 @@ pub fn sections(
     evaluation: &DesignEvaluation,
     shifts: &[FieldShift],
 ) -> Vec<Section> {
-    vec![
-        evaluation_section(design, evaluation),
-        answers(design),
-        interference(shifts),
-        sources(design),
-    ]
+    let [quantities, limits, interference] = text::tables(evaluation, shifts);
+    let interference = Section {
+        id: "interference",
+        heading: "Interference".to_owned(),
+        body: text_table("Field changes not caused by forces", &interference),
+    };
+    let evaluated = evaluation_section(design, evaluation, &quantities, &limits);
+    vec![evaluated, answers(design), interference, sources(design)]
 }
 
-fn evaluation_section(design: &SensorDesign, evaluation: &DesignEvaluation) -> Section {
-    let figures = text::figures(evaluation).into_iter().map(|(name, unit, [x, z])| {
-        [name.to_owned(), unit.to_owned(), number(x), number(z)]
-            .map(|cell| html! { (cell) })
-            .to_vec()
-    });
-    let limits = text::limits(evaluation).into_iter().map(|(cause, [x, z])| {
-        [cause.name().to_owned(), number(x), number(z)].map(|cell| html! { (cell) }).to_vec()
-    });
+fn evaluation_section(
+    design: &SensorDesign,
+    evaluation: &DesignEvaluation,
+    quantities: &TextTable,
+    limits: &TextTable,
+) -> Section {
     let body = html! {
         @for line in text::describe(design).lines() { p { (line) } }
         p { (text::verdict(design, evaluation)) }
         @for line in text::binding_limits(evaluation).split('\n').filter(|line| !line.is_empty()) { p.note { (line) } }
-        (table("Each axis", &["quantity", "unit", "lateral", "longitudinal"], figures))
-        (table("Force in newtons at each limit of the range", &["limit", "lateral", "longitudinal"], limits))
-        p.note { "A dash: other limits are reached long before. " (text::assumptions(design)) }
+        (text_table("Each axis", quantities))
+        (text_table("Force at each limit of the range", limits))
+        p.note { "Not reached: other limits are reached long before. " (text::assumptions(design)) }
     };
     Section { id: "judged", heading: "Design".to_owned(), body }
 }
@@ -95,11 +94,11 @@ fn sources(design: &SensorDesign) -> Section {
     let rows = materials.flat_map(|material| {
         material.constants().map(|constant| {
             let value = format!("{} {}", numbers::decimal(constant.value, 3), constant.unit);
-            vec![
-                html! { (material.name) ": " (constant.name) },
-                html! { (value) },
-                html! { (constant.basis.name()) },
-                html! { (constant.source) },
+            [
+                format!("{}: {}", material.name, constant.name),
+                value,
+                constant.basis.name().to_owned(),
+                constant.source.to_owned(),
             ]
         })
     });
@@ -109,22 +108,4 @@ fn sources(design: &SensorDesign) -> Section {
         (table("Material constants and their sources", &["constant", "value", "", "source"], rows))
     };
     Section { id: "sources", heading: "Materials".to_owned(), body }
-}
-
-fn interference(shifts: &[FieldShift]) -> Section {
-    let rows = shifts.iter().map(|shift| {
-        [
-            shift.name.to_owned(),
-            shift.meaning.to_owned(),
-            number(shift.gauss),
-            number(shift.resolutions),
-            number(shift.newtons),
-        ]
-        .map(|cell| html! { (cell) })
-        .to_vec()
-    });
-    let body = html! {
-        (table("Field changes not caused by forces", &["cause", "assumed", "G", "counts", "N"], rows))
-    };
-    Section { id: "interference", heading: "Interference".to_owned(), body }
 }

@@ -1,6 +1,6 @@
 //! Many designs, and those that no other beats.
 
-use maud::{Markup, html};
+use maud::html;
 use model_export::design::sampling::SamplingMethod;
 use model_export::design::sweep::Candidate;
 
@@ -30,9 +30,8 @@ fn overview(candidates: &[Candidate], front: &[usize], sample: SamplingMethod) -
             (palette::FIRST, "beaten by none".to_owned(), points(best(), of)),
         ]
     };
-    let ended = causes(candidates).into_iter().map(|(cause, count)| {
-        [cause.name().to_owned(), count.to_string()].map(|cell| html! { (cell) }).to_vec()
-    });
+    let ended = causes(candidates).into_iter();
+    let ended = ended.map(|(cause, count)| [cause.name().to_owned(), count.to_string()]);
     let axis = "force range, N";
     let body = html! {
         p { (candidates.len()) " designs, " (how) "; " (front.len())
@@ -45,9 +44,7 @@ fn overview(candidates: &[Candidate], front: &[usize], sample: SamplingMethod) -
 }
 
 fn unbeaten(candidates: &[Candidate], front: &[usize]) -> Section {
-    let rows = front.iter().take(ROWS).map(|place| -> Vec<Markup> {
-        candidate_row(&candidates[*place]).map(|cell| html! { (cell) }).to_vec()
-    });
+    let rows = front.iter().take(ROWS).map(|place| candidate_row(&candidates[*place]));
     let body = html! {
         @if front.len() > ROWS { p { "The first " (ROWS) " of " (front.len()) ", the greatest range first." } }
         (table("Designs that no other beats", &CANDIDATE_HEADS, rows))
