@@ -9,7 +9,6 @@ use crate::html::plot::{Along, Failure, HALF, Paper, Swatch, axes, figure, key, 
 use analysis::compare::{Comparison, Histogram};
 use model_export::recordings::columns::Axis;
 
-/// A histogram for each force.
 pub fn section(comparison: &Comparison) -> Markup {
     html! {
         section #histograms {

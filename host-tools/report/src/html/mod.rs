@@ -42,13 +42,10 @@ use palette::Role;
 /// First line of every report: only files that begin with it are overwritten.
 pub const MARK: &str = "<!-- report of magpie -->\n";
 
-/// Additional section of a page.
 #[derive(Clone, Debug)]
 pub struct Section {
-    /// HTML identifier.
     pub id: &'static str,
     pub heading: String,
-    /// Content.
     pub body: Markup,
 }
 
@@ -84,7 +81,6 @@ pub fn page_with(comparison: &Comparison, more: &[Section]) -> String {
     whole(&title, &body)
 }
 
-/// Page of sections with navigation.
 pub fn page_of(title: &str, sections: &[Section]) -> String {
     let body = html! {
         h1 { (title) }
@@ -131,7 +127,6 @@ fn placed(section: &Section) -> Markup {
     html! { section id=(section.id) { h2 { (section.heading) } (section.body) } }
 }
 
-/// Navigation of a comparison.
 fn links(more: &[Section], is_before_and_after: bool) -> Markup {
     let mut places = vec![("scale", "Overall error")];
     places.extend(more.iter().map(|section| (section.id, section.heading.as_str())));

@@ -19,7 +19,6 @@ const WORST: usize = 1000;
 /// Code of NaN.
 const HOLE: u16 = u16::MAX;
 
-/// Data of the script.
 #[derive(Debug, Serialize)]
 pub struct Pack {
     traces: Vec<PackedTrace>,
@@ -103,12 +102,9 @@ pub fn channels(trace: &Trace) -> impl Iterator<Item = Channel<'_>> {
 pub struct Channel<'a> {
     /// `force` or `field`.
     pub kind: &'static str,
-    /// Label.
     pub name: &'static str,
     pub unit: &'static str,
-    /// Measured (or reference) curve.
     pub measured: &'a Envelope,
-    /// Modelled (or device) curve.
     pub modelled: &'a Envelope,
 }
 

@@ -10,18 +10,14 @@ use plotters::style::RGBColor;
 /// Colour with a meaning.
 #[derive(Clone, Copy, Debug)]
 pub struct Role {
-    /// CSS variable.
     pub name: &'static str,
-    /// Colour in light mode.
     pub light: RGBColor,
-    /// Colour in dark mode.
     pub dark: RGBColor,
 }
 
 /// Text, axes and measured values.
 pub const INK: Role =
     Role { name: "ink", light: RGBColor(0x1A, 0x1B, 0x1E), dark: RGBColor(0xEC, 0xED, 0xEF) };
-/// Secondary text.
 pub const MUTED: Role =
     Role { name: "muted", light: RGBColor(0x5C, 0x60, 0x66), dark: RGBColor(0xA6, 0xAB, 0xB3) };
 /// Grid lines, frames, and cells without data.
@@ -37,7 +33,6 @@ pub const SECOND: Role =
 pub const THIRD: Role =
     Role { name: "third", light: RGBColor(0x00, 0x9E, 0x73), dark: RGBColor(0x2F, 0xC3, 0x98) };
 
-/// All roles.
 pub const ALL: [Role; 6] = [INK, MUTED, GRID, FIRST, SECOND, THIRD];
 /// Colours of x, y, z.
 pub const AXES: [Role; 3] = [FIRST, SECOND, THIRD];

@@ -9,7 +9,6 @@ use serde_json::{Value, json};
 
 use crate::text::terminal;
 
-/// All effects.
 pub fn catalogue_table() -> String {
     let mut table = terminal::table(["effect", "typical", "magnitude", "requires", "compensated"]);
     for effect in CATALOGUE {
@@ -106,7 +105,6 @@ pub fn describe(effect: &Effect) -> String {
     )
 }
 
-/// The object of `--json`.
 pub fn to_json(effect: &Effect) -> Value {
     let parameter = |parameter: &EffectParameter| {
         json!({

@@ -116,7 +116,6 @@ pub fn worst_map(model: &ModelFile, chosen: &SelectedModels, header: &ExportHead
     )
 }
 
-/// The object of `--json`.
 pub fn to_json(chosen: &SelectedModels, header: &ExportHeader) -> Value {
     let sensors = header.sensors.iter().zip(&chosen.forward);
     let sensors = chosen.errors().into_iter().zip(sensors);

@@ -330,7 +330,6 @@ pub fn message(finding: &Finding) -> String {
     }
 }
 
-/// What a correction does.
 pub fn fix(fix: &Fix) -> String {
     match fix.kind {
         FixKind::SortRows => "puts the rows in order of time".to_owned(),

@@ -84,7 +84,6 @@ pub fn format_steps(plan: &RecordingPlan) -> String {
     text
 }
 
-/// As one JSON object.
 pub fn to_json(proposal: &RecordingProposal) -> Value {
     json!({
         "plan": proposal.plan,

@@ -28,7 +28,6 @@ fn effect_table(settings: &CampaignSettings, truth: &Truth) -> String {
     format!("{table}\n")
 }
 
-/// The report as text.
 pub fn format_report(
     settings: &CampaignSettings,
     truth: &Truth,
@@ -57,7 +56,6 @@ pub fn format_report(
     )
 }
 
-/// The object of `--json`.
 pub fn to_json(
     settings: &CampaignSettings,
     truth: &Truth,

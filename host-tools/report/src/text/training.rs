@@ -9,7 +9,6 @@ use serde_json::{Value, json};
 use crate::text::calibration::{calibration_json, calibration_sentence};
 use crate::text::{FORCES, notes, terminal};
 
-/// The report as text.
 pub fn format_report(evaluation: &TrainingResult) -> String {
     let mut table = terminal::table([
         "sensor",
@@ -78,7 +77,6 @@ fn training_summary(evaluation: &TrainingResult) -> String {
     )
 }
 
-/// The object of `--json`.
 pub fn to_json(evaluation: &TrainingResult, notes: &[Note]) -> Value {
     let rows = evaluation.forces.iter().map(|row| {
         json!({

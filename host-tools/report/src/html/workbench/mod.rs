@@ -153,9 +153,9 @@ pub fn state(
             "physics": find(&one.effect).map_or("", |effect| effect.physics),
         })
     });
-    let untestable = bench.untestable.iter().map(|one| {
-        json!({ "name": one.effect, "reason": reason(&one.verdict()), "record": one.record })
-    });
+    let untestable = bench.untestable.iter().map(
+        |one| json!({ "name": one.effect, "reason": reason(&one.verdict()), "record": one.record }),
+    );
     let compared = with_baseline(model, baseline);
     let headline = std::iter::once(force_headline(&compared)).chain(force_origins(&compared));
     json!({

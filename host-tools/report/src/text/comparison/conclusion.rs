@@ -2,8 +2,7 @@
 
 use analysis::compare::attribution::MIN_SHARE;
 use analysis::compare::{
-    AT_FLOOR, Attribution, BELOW_FLOOR, Comparison, Validation, floor_g,
-    is_at_floor, rms_g,
+    AT_FLOOR, Attribution, BELOW_FLOOR, Comparison, Validation, floor_g, is_at_floor, rms_g,
 };
 use analysis::data_quality::Finding;
 use analysis::notes::MissingForces;
