@@ -145,7 +145,6 @@ fn run_code(cell: &mut Cell, halfwords: &[u16]) {
     const ADDRESS: u32 = 0x2001_7F00;
     let bytes: Vec<u8> = halfwords.iter().flat_map(|halfword| halfword.to_le_bytes()).collect();
     assert!(cell.board.chip.soc.write_memory(ADDRESS, &bytes));
-    cell.board.chip.core_mut().invalidate_code();
     go_to(cell, ADDRESS);
 }
 

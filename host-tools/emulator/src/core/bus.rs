@@ -81,7 +81,7 @@ pub trait Bus {
     /// core to the address from which it executes: flash programmed or erased, memory written by DMA
     /// or through an alias, an image loaded.
     ///
-    /// Called at the start of [`Core::run`](super::Core::run) and [`Core::step`](super::Core::step)
+    /// Called at the start of [`Core::run`](super::Core::run)
     /// and by the instruction `ISB`. Stores of the core itself need no report. Where the changes are
     /// scattered, a range that contains them all is sufficient; it only costs decoding again.
     fn take_modified_code(&mut self) -> Option<Range<u32>> {

@@ -158,11 +158,6 @@ impl CodeCache {
             }
         }
     }
-
-    /// Drops everything.
-    pub(super) fn clear(&mut self) {
-        self.slots[..CACHED].fill(EMPTY);
-    }
 }
 
 /// Whether stores of the core to an address may change instructions that are kept.

@@ -41,7 +41,7 @@ pub struct CycleModel {
     pub divide: u8,
     /// Load and store of one floating-point register.
     pub float_transfer: u8,
-    /// VMLA, VFMA and the like.
+    /// VMLA and the like.
     pub float_multiply_add: u8,
     /// VDIV and VSQRT.
     pub float_divide: u8,
@@ -168,7 +168,8 @@ impl CycleModel {
             }
             I::FloatMultiplyAdd(..)
             | I::FloatMultiplySubtract(..)
-            | I::FloatMultiplyAddOther(..) => Timing::new(self.float_multiply_add),
+            | I::FloatNegatedMultiplyAdd(..)
+            | I::FloatNegatedMultiplySubtract(..) => Timing::new(self.float_multiply_add),
             I::FloatDivide(..) | I::FloatSquareRoot(..) => Timing::new(self.float_divide),
             I::FloatPairFromCore(..) | I::FloatPairToCore(..) => Timing::new(self.float_pair),
             _ => Timing::new(self.base),

@@ -19,14 +19,6 @@ const fn word(value: u32) -> i64 {
     value as i32 as i64
 }
 
-/// Products of the low and of the high halfwords, with the second operand's halves exchanged on
-/// demand.
-#[inline(always)]
-const fn dual_products(n: u32, m: u32, exchange: bool) -> (i64, i64) {
-    let m = if exchange { m.rotate_right(16) } else { m };
-    (half(n, false) * half(m, false), half(n, true) * half(m, true))
-}
-
 /// The lane of `width` bits from bit `low` up.
 #[inline(always)]
 const fn lane(value: u32, low: u32, width: u32, unsigned: bool) -> i32 {
@@ -60,12 +52,8 @@ impl State {
                 ((word(n) * half(m, m_top)) >> 16) + word(accumulator)
             }
             DspMultiply::DualAdd { exchange } => {
-                let (low, high) = dual_products(n, m, exchange);
-                low + high + word(accumulator)
-            }
-            DspMultiply::DualSubtract { exchange } => {
-                let (low, high) = dual_products(n, m, exchange);
-                low - high + word(accumulator)
+                let m = if exchange { m.rotate_right(16) } else { m };
+                half(n, false) * half(m, false) + half(n, true) * half(m, true) + word(accumulator)
             }
             DspMultiply::MostSignificant { round } => {
                 let product = word(n) * word(m);
@@ -108,17 +96,6 @@ impl State {
             LongMultiply::SignedAccumulate => accumulator.wrapping_add(signed) as u64,
             LongMultiply::UnsignedAccumulate => (accumulator as u64).wrapping_add(unsigned),
             LongMultiply::UnsignedAccumulateTwo => unsigned + first + second,
-            LongMultiply::HalfAccumulate { n_top, m_top } => {
-                accumulator.wrapping_add(half(n, n_top) * half(m, m_top)) as u64
-            }
-            LongMultiply::DualAddAccumulate { exchange } => {
-                let (low, high) = dual_products(n, m, exchange);
-                accumulator.wrapping_add(low + high) as u64
-            }
-            LongMultiply::DualSubtractAccumulate { exchange } => {
-                let (low, high) = dual_products(n, m, exchange);
-                accumulator.wrapping_add(low - high) as u64
-            }
         };
         self.write(low, result as u32);
         self.write(high, (result >> 32) as u32);
@@ -145,23 +122,13 @@ impl State {
         self.write(d, result);
     }
 
-    /// QADD, QSUB, QDADD, QDSUB: the doubling saturates for itself.
+    /// QADD and QSUB.
     #[inline]
-    pub(super) fn saturating_add(
-        &mut self,
-        d: Register,
-        n: u32,
-        m: u32,
-        subtract: bool,
-        double: bool,
-    ) {
-        let (operand, doubling) =
-            if double { saturate_signed(word(n) * 2, 32) } else { (n as i32, false) };
-        let operand = operand as i64;
-        let sum = if subtract { word(m) - operand } else { word(m) + operand };
+    pub(super) fn saturating_add(&mut self, d: Register, n: u32, m: u32, subtract: bool) {
+        let sum = if subtract { word(m) - word(n) } else { word(m) + word(n) };
         let (result, saturated) = saturate_signed(sum, 32);
         self.write(d, result as u32);
-        self.set_saturated(doubling || saturated);
+        self.set_saturated(saturated);
     }
 
     /// PKHBT and, with the high halfword of the first operand, PKHTB.

@@ -1,11 +1,11 @@
 //! Floating-point unit: single precision, FPv4-SP (DDI0403E A2.5 and A7.7), by the computer's arithmetic: rounding to nearest,
 //! denormal numbers, NaN operands as the architecture propagates them. No instruction here changes these modes: VMSR, VMRS to a
-//! register, half precision and fixed point stop the core as unpredictable ones do, and the FPSCR has the flags of comparisons only.
+//! register, half precision, fixed point and fused multiplication stop the core as unpredictable ones do, and the FPSCR has the flags of comparisons only.
 
 use crate::core::Width;
 use crate::core::arithmetic::NZCV;
 use crate::core::bus::Bus;
-use crate::core::instruction::{FloatRegister, MultipleMode, MultiplyAdd, Register};
+use crate::core::instruction::{FloatRegister, MultipleMode, Register};
 use crate::core::state::{PC, State, Trap};
 
 /// Sign bit of a single-precision number.
@@ -59,14 +59,6 @@ pub(super) fn square_root(a: u32) -> u32 {
     result(float(a).sqrt(), [a])
 }
 
-/// `addend + a * b`, rounded once.
-fn fused(addend: u32, a: u32, b: u32) -> u32 {
-    // An invalid product precedes a quiet addend.
-    let is_invalid = !is_nan(a) && !is_nan(b) && (float(a) * float(b)).is_nan();
-    let addend = if is_invalid && !is_signalling(addend) { 0 } else { addend };
-    result(float(a).mul_add(float(b), float(addend)), [addend, a, b])
-}
-
 pub(super) fn from_integer(value: u32, unsigned: bool) -> u32 {
     if unsigned { value as f32 } else { value as i32 as f32 }.to_bits()
 }
@@ -82,25 +74,6 @@ impl State {
     #[inline(always)]
     pub(super) fn check_float<B: Bus>(&mut self, bus: &mut B) -> Result<(), Trap> {
         if self.float_ready { Ok(()) } else { self.prepare_float(bus) }
-    }
-
-    #[inline]
-    pub(super) fn float_multiply_add(
-        &mut self,
-        operation: MultiplyAdd,
-        d: FloatRegister,
-        n: FloatRegister,
-        m: FloatRegister,
-    ) {
-        let (addend, a, b) = (self.s[d.index()], self.s[n.index()], self.s[m.index()]);
-        self.s[d.index()] = match operation {
-            MultiplyAdd::NegatedAdd => add(addend ^ SIGN, multiply(a, b) ^ SIGN),
-            MultiplyAdd::NegatedSubtract => add(addend ^ SIGN, multiply(a, b)),
-            MultiplyAdd::FusedAdd => fused(addend, a, b),
-            MultiplyAdd::FusedSubtract => fused(addend, a ^ SIGN, b),
-            MultiplyAdd::FusedNegatedAdd => fused(addend ^ SIGN, a ^ SIGN, b),
-            MultiplyAdd::FusedNegatedSubtract => fused(addend ^ SIGN, a, b),
-        };
     }
 
     #[inline]

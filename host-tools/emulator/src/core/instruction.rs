@@ -176,8 +176,6 @@ pub(super) enum DspMultiply {
     WordByHalf { m_top: bool },
     /// SMLAD, SMUAD, with X: exchanged.
     DualAdd { exchange: bool },
-    /// SMLSD, SMUSD, with X: exchanged.
-    DualSubtract { exchange: bool },
     /// SMMLA, SMMUL, with R: rounded.
     MostSignificant { round: bool },
     /// SMMLS, with R: rounded.
@@ -193,19 +191,16 @@ pub(super) enum LongMultiply {
     UnsignedAccumulate,
     /// UMAAL: both result registers are added separately.
     UnsignedAccumulateTwo,
-    /// SMLALxy.
-    HalfAccumulate {
-        n_top: bool,
-        m_top: bool,
-    },
-    /// SMLALD, with X: exchanged.
-    DualAddAccumulate {
-        exchange: bool,
-    },
-    /// SMLSLD, with X: exchanged.
-    DualSubtractAccumulate {
-        exchange: bool,
-    },
+}
+
+/// Special registers of MRS and MSR.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum SpecialRegister {
+    Msp,
+    Primask,
+    Basepri,
+    /// BASEPRI, of which a write raises the priority only.
+    BasepriMax,
 }
 
 /// Hints with an effect on the core.
@@ -214,23 +209,6 @@ pub(super) enum Hint {
     WaitForEvent,
     WaitForInterrupt,
     SendEvent,
-}
-
-/// Multiply-and-add instructions of the floating-point unit.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum MultiplyAdd {
-    /// VNMLA: `-d - n * m`, rounded twice.
-    NegatedAdd,
-    /// VNMLS: `-d + n * m`, rounded twice.
-    NegatedSubtract,
-    /// VFMA: `d + n * m`, rounded once.
-    FusedAdd,
-    /// VFMS: `d - n * m`, rounded once.
-    FusedSubtract,
-    /// VFNMA: `-d - n * m`, rounded once.
-    FusedNegatedAdd,
-    /// VFNMS: `-d + n * m`, rounded once.
-    FusedNegatedSubtract,
 }
 
 /// Whether an instruction sets condition flags.
@@ -320,15 +298,15 @@ pub(super) enum Instruction {
     // DSP extension.
     Dsp(DspMultiply, Register, Register, Register, Register),
     Parallel(ParallelOperation, Register, Register, Register),
-    /// QADD, QDADD, QSUB, QDSUB: d, n, m; m - n instead of m + n; n doubled first.
-    SaturatingAdd(Register, Register, Register, bool, bool),
+    /// QADD or QSUB: d, n, m; m - n instead of m + n.
+    SaturatingAdd(Register, Register, Register, bool),
     /// PKHBT or, with the high halfword of n, PKHTB.
     PackHalfwords(Register, Register, Register, bool, Shift, Amount),
     /// SSAT: d, n, number of bits, shift of n.
     SaturateSigned(Register, Register, u8, Shift, Amount),
     /// USAT: d, n, number of bits, shift of n.
     SaturateUnsigned(Register, Register, u8, Shift, Amount),
-    /// SSAT16 or USAT16: d, n, number of bits, unsigned.
+
     // Branches.
     Branch(Offset),
     BranchIf(Condition, Offset),
@@ -397,19 +375,18 @@ pub(super) enum Instruction {
     DataBarrier,
     /// ISB.
     SynchronisationBarrier,
-    /// CPSIE or CPSID: disable, PRIMASK, FAULTMASK.
-    ChangeState(bool, bool, bool),
-    /// MRS: d, number of the special register.
-    ReadSpecial(Register, u8),
-    /// MSR: n, parts of the APSR, number of the special register.
-    WriteSpecial(Register, u8, u8),
-    SupervisorCall,
+    /// CPSID i or CPSIE i: whether interrupts are masked.
+    ChangeState(bool),
+    /// MRS.
+    ReadSpecial(Register, SpecialRegister),
+    /// MSR.
+    WriteSpecial(Register, SpecialRegister),
     Breakpoint(u8),
     /// UDF and the encodings that the architecture defines as undefined.
     Undefined,
     /// An instruction for a coprocessor that the chip has not.
     NoCoprocessor,
-    /// Encodings that the architecture leaves unpredictable.
+    /// Encodings that the architecture leaves unpredictable, and instructions that are not modelled.
     Unsupported,
 
     // Floating point.
@@ -422,7 +399,10 @@ pub(super) enum Instruction {
     FloatMultiplyAdd(FloatRegister, FloatRegister, FloatRegister),
     /// VMLS: `d - n * m`, rounded twice.
     FloatMultiplySubtract(FloatRegister, FloatRegister, FloatRegister),
-    FloatMultiplyAddOther(MultiplyAdd, FloatRegister, FloatRegister, FloatRegister),
+    /// VNMLA: `-d - n * m`, rounded twice.
+    FloatNegatedMultiplyAdd(FloatRegister, FloatRegister, FloatRegister),
+    /// VNMLS: `-d + n * m`, rounded twice.
+    FloatNegatedMultiplySubtract(FloatRegister, FloatRegister, FloatRegister),
     FloatSquareRoot(FloatRegister, FloatRegister),
     FloatAbsolute(FloatRegister, FloatRegister),
     FloatNegate(FloatRegister, FloatRegister),

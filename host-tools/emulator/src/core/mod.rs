@@ -15,16 +15,18 @@
 //!
 //! # Not modelled
 //!
-//! - SysTick's timer and the memory protection unit: their registers are absent.
+//! - Unprivileged mode, the process stack, FAULTMASK, subpriorities, SVCall, PendSV and SysTick, the handlers of MemManage, BusFault
+//!   and UsageFault (all faults are HardFaults), a vector table elsewhere, SEVONPEND and SLEEPONEXIT, DWT: no image uses them. Their
+//!   registers are absent.
 //! - The write buffer: a refused store is a precise fault at its instruction, where the chip mostly
 //!   reports an imprecise one a few instructions later.
 //! - The prefetch of instructions: a store into executed memory has its effect at once, other changes
 //!   with [`Bus::take_modified_code`].
 //! - Interruption in the middle of load and store multiple (the ICI bits are always zero).
-//! - Bit-band aliases, which the [`Bus`] may provide, the debugger, and BKPT as a fault: it stops the core
-//!   with [`Stop::Breakpoint`].
-//! - Modes and cumulative exceptions of floating point, half precision and fixed point: the FPSCR has flags only.
-//! - SEL and the flags GE of parallel arithmetic, its exchanging and halving forms, SSAT16, USAT16, USAD8: no image uses them.
+//! - Bit-band aliases, the debugger, and BKPT as a fault: it stops the core with [`Stop::Breakpoint`].
+//! - Modes and cumulative exceptions of floating point, half precision, fixed point, fused multiplication: the FPSCR has flags only.
+//! - SEL and the flags GE of parallel arithmetic, its exchanging and halving forms, SSAT16, USAT16, USAD8, SMLSD, SMLALxy, SMLALD,
+//!   SMLSLD, QDADD, QDSUB: no image uses them.
 //! - Instructions of these, and those whose behaviour the architecture leaves unpredictable: they stop the core with
 //!   [`Stop::Unsupported`].
 
@@ -48,13 +50,12 @@ mod tests;
 pub use bus::{Bus, BusError, Width};
 pub use cycles::CycleModel;
 pub use statistics::{ExceptionStatistics, Statistics};
-pub use system_control::{EXCEPTIONS, INTERRUPTS, SystemControl};
+pub use system_control::{EXCEPTIONS, SystemControl};
 
 use code_cache::{CodeCache, Context, is_cached_ram};
 use cycles::Timing;
 use instruction::Instruction;
 use state::{Fault, PC, SP, Sleep, State, Trap, executed_index};
-use statistics::HISTORY;
 
 /// Bytes of the longest instruction.
 const LONGEST: u32 = 4;
@@ -72,8 +73,8 @@ pub enum Pause {
 /// Why the core cannot continue.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum Stop {
-    /// A fault at a priority at which no fault can be taken: within HardFault or NMI, with FAULTMASK,
-    /// or where the vector table cannot be read. The fault status registers contain the cause.
+    /// A fault at a priority at which no fault can be taken, within HardFault or NMI, or where the vector table cannot be
+    /// read. The fault status register contains the cause.
     #[error("lock-up at {address:#010x}: a fault occurred where none can be handled")]
     LockUp {
         /// Address of the instruction.
@@ -134,12 +135,11 @@ impl Core {
         bus.system().reset();
         self.state.reset();
         self.previous = Timing::NONE;
-        let vectors = bus.system().vector_table();
         let read = |bus: &mut B, address| {
             bus.read(address, Width::Word).map_err(|BusError| Stop::LockUp { address })
         };
-        let sp = read(bus, vectors)?;
-        let entry = read(bus, vectors + 4)?;
+        let sp = read(bus, 0)?;
+        let entry = read(bus, 4)?;
         self.state.r[SP] = sp & !3;
         self.state.pc = entry & !1;
         self.state.thumb = entry & 1 != 0;
@@ -179,24 +179,6 @@ impl Core {
             }
             pc = self.execute_at(bus, pc)?;
         }
-    }
-
-    /// Executes one instruction, after taking a pending exception. Gives [`Pause::Asleep`] where the
-    /// core sleeps instead. Ignores [`Bus::event_due`].
-    ///
-    /// # Errors
-    /// [`Stop`] where the program cannot continue.
-    pub fn step<B: Bus>(&mut self, bus: &mut B) -> Result<Option<Pause>, Stop> {
-        self.drop_modified_code(bus);
-        let result = match self.check_state(bus) {
-            Ok(None) => self.execute_at(bus, self.state.pc).map(|pc| {
-                self.state.pc = pc;
-                None
-            }),
-            paused => paused,
-        };
-        bus.system().synchronise(self.state.cycles);
-        result
     }
 
     /// What may change the flow between two instructions: reset, exceptions, sleep, modified code.
@@ -251,7 +233,6 @@ impl Core {
             }
         }
         let state = &mut self.state;
-        state.history[state.instructions as usize % HISTORY] = pc;
         state.instructions += 1;
         state.r[PC] = pc.wrapping_add(4);
         let next = pc.wrapping_add(slot.size as u32);
@@ -317,10 +298,6 @@ impl Core {
         state.pc = pc;
         match trap {
             Trap::ExceptionReturn => state.return_from_exception(bus)?,
-            Trap::SupervisorCall => {
-                state.pc = next;
-                state.take_synchronous(bus, system_control::SV_CALL)?;
-            }
             Trap::Breakpoint(immediate) => {
                 state.pc = next;
                 return Err(Stop::Breakpoint { address: pc, immediate });
@@ -341,11 +318,6 @@ impl Core {
         Ok(self.state.pc)
     }
 
-    /// Drops all decoded instructions; for changes of memory that the bus does not report.
-    pub fn invalidate_code(&mut self) {
-        self.code.clear();
-    }
-
     /// Address of the next instruction.
     pub fn pc(&self) -> u32 {
         self.state.pc
@@ -357,123 +329,16 @@ impl Core {
         self.state.itstate = 0;
     }
 
-    /// Core register 0 to 15; 13 is the stack pointer in use, 15 the address of the next instruction.
-    ///
-    /// # Panics
-    /// If the number is above 15.
-    pub fn register(&self, number: usize) -> u32 {
-        if number == PC { self.pc() } else { self.state.r[number] }
-    }
-
-    /// Writes a core register, numbered as in [`Core::register`].
-    ///
-    /// # Panics
-    /// If the number is above 15.
-    pub fn set_register(&mut self, number: usize, value: u32) {
-        match number {
-            PC => self.set_pc(value),
-            SP => self.state.r[SP] = value & !3,
-            _ => self.state.r[number] = value,
-        }
-    }
-
-    /// Bit pattern of the single-precision register S0 to S31.
-    ///
-    /// # Panics
-    /// If the number is above 31.
-    pub fn float_register(&self, number: usize) -> u32 {
-        self.state.s[number]
-    }
-
-    /// Writes a single-precision register.
-    ///
-    /// # Panics
-    /// If the number is above 31.
-    pub fn set_float_register(&mut self, number: usize, bits: u32) {
-        self.state.s[number] = bits;
-    }
-
-    /// Floating-point status and control register.
-    pub fn fpscr(&self) -> u32 {
-        self.state.fpscr
-    }
-
-    /// Writes the flags of the FPSCR.
-    pub fn set_fpscr(&mut self, value: u32) {
-        self.state.fpscr = value & arithmetic::NZCV;
-    }
-
-    /// Program status register: flags, GE, ITSTATE, Thumb bit, exception number.
-    pub fn xpsr(&self) -> u32 {
-        self.state.xpsr()
-    }
-
-    /// Writes flags, GE and ITSTATE. The Thumb bit and the exception number do not change.
-    pub fn set_xpsr(&mut self, value: u32) {
-        let (thumb, exception) = (self.state.thumb, self.state.exception);
-        self.state.set_xpsr(value);
-        self.state.thumb = thumb;
-        self.state.exception = exception;
-    }
-
     /// Number of the exception whose handler executes, 0 in thread mode.
     pub fn current_exception(&self) -> u16 {
         self.state.exception
-    }
-
-    /// Main stack pointer.
-    pub fn main_stack_pointer(&self) -> u32 {
-        self.state.main_sp()
-    }
-
-    /// Process stack pointer.
-    pub fn process_stack_pointer(&self) -> u32 {
-        self.state.process_sp()
-    }
-
-    /// CONTROL: bit 0 unprivileged thread mode, bit 1 process stack in use, bit 2 floating-point
-    /// context active.
-    pub fn control(&self) -> u32 {
-        self.state.control()
-    }
-
-    /// PRIMASK, FAULTMASK and BASEPRI.
-    pub fn masks(&self) -> (bool, bool, u8) {
-        (self.state.primask, self.state.faultmask, self.state.basepri)
-    }
-
-    /// Whether the core sleeps.
-    pub fn is_asleep(&self) -> bool {
-        self.state.sleep != Sleep::Awake
-    }
-
-    /// Cycles that the core was awake since its creation.
-    pub fn cycles(&self) -> u64 {
-        self.state.cycles
-    }
-
-    /// Instructions executed since the creation; those whose condition failed included.
-    pub fn instructions(&self) -> u64 {
-        self.state.instructions
-    }
-
-    /// Addresses of the last instructions, at most 64, the oldest first.
-    pub fn history(&self) -> Vec<u32> {
-        let count = self.state.instructions;
-        let first = count.saturating_sub(HISTORY as u64);
-        (first..count).map(|k| self.state.history[k as usize % HISTORY]).collect()
     }
 
     /// Statistics up to now.
     pub fn statistics(&mut self) -> &Statistics {
         let state = &mut self.state;
         state.recorder.attribute(state.exception, state.instructions, state.cycles);
-        let (msp, psp) = if state.process_stack {
-            (state.lowest_inactive_sp, state.lowest_sp)
-        } else {
-            (state.lowest_sp, state.lowest_inactive_sp)
-        };
-        state.recorder.statistics(msp, psp)
+        state.recorder.statistics(state.lowest_sp)
     }
 
     /// Starts the statistics again.
@@ -481,6 +346,5 @@ impl Core {
         self.statistics();
         self.state.recorder.clear();
         self.state.lowest_sp = u32::MAX;
-        self.state.lowest_inactive_sp = u32::MAX;
     }
 }

@@ -6,7 +6,7 @@ use crate::core::arithmetic::{CARRY, NEGATIVE, NZCV, ZERO};
 use crate::core::bus::Bus;
 use crate::core::cycles::CycleModel;
 use crate::core::instruction::{LogicalFlags, Register};
-use crate::core::statistics::{HISTORY, Recorder};
+use crate::core::statistics::Recorder;
 
 /// Index of the stack pointer in use.
 pub(super) const SP: usize = 13;
@@ -15,10 +15,8 @@ pub(super) const LR: usize = 14;
 /// Index of the program counter.
 pub(super) const PC: usize = 15;
 
-/// Bits 19 to 16 of the APSR: greater-than-or-equal flags of the parallel instructions.
-pub(super) const GE: u32 = 0xF << 16;
-/// Bits of the APSR that exist.
-pub(super) const APSR: u32 = 0xF80F_0000;
+/// Bits of the APSR that are modelled.
+const APSR: u32 = 0xF800_0000;
 /// xPSR bit 24: Thumb state.
 const THUMB: u32 = 1 << 24;
 
@@ -28,7 +26,7 @@ pub(super) enum Sleep {
     Awake,
     /// WFE: until the event register is set.
     Event,
-    /// WFI, or return to thread mode with SLEEPONEXIT: until an enabled interrupt is pending.
+    /// WFI: until an enabled interrupt is pending.
     Interrupt,
 }
 
@@ -38,13 +36,11 @@ pub(super) enum Fault {
     /// Execution from a region that the default memory map declares execute never.
     ExecuteNever,
     InstructionBus,
-    /// Data access; the address is [`State::fault_address`].
     DataBus,
     Undefined,
     InvalidState,
     NoCoprocessor,
     Unaligned,
-    DivideByZero,
 }
 
 /// Why an instruction does not end with the next one.
@@ -55,7 +51,6 @@ pub(super) enum Trap {
     Retry,
     /// Branch to the EXC_RETURN value in [`State::exception_return`].
     ExceptionReturn,
-    SupervisorCall,
     Breakpoint(u8),
     Unsupported,
 }
@@ -101,12 +96,12 @@ pub(super) const fn executed_index(address: u32) -> usize {
 /// Registers, special registers, and what the execution keeps between instructions.
 #[derive(Debug, Clone)]
 pub(super) struct State {
-    /// Core registers. `r[13]` is the stack pointer in use; `r[15]` reads as the address of the
+    /// Core registers. `r[13]` is the main stack pointer; `r[15]` reads as the address of the
     /// executing instruction plus 4.
     pub(super) r: [u32; 16],
     /// Address of the next instruction.
     pub(super) pc: u32,
-    /// N, Z, C, V, Q and GE at their places in the APSR.
+    /// N, Z, C, V and Q at their places in the APSR.
     pub(super) apsr: u32,
     /// ITSTATE of the next instruction.
     pub(super) itstate: u8,
@@ -115,16 +110,12 @@ pub(super) struct State {
     /// EPSR.T. Clear only between a branch to an even address and the fault that it causes.
     pub(super) thumb: bool,
     pub(super) primask: bool,
-    pub(super) faultmask: bool,
     pub(super) basepri: u8,
-    /// CONTROL.nPRIV: thread mode is unprivileged.
-    pub(super) unprivileged: bool,
-    /// CONTROL.SPSEL: the process stack pointer is in use.
-    pub(super) process_stack: bool,
     /// CONTROL.FPCA: the floating-point context is active.
     pub(super) float_active: bool,
-    /// The stack pointer that is not in use.
-    pub(super) inactive_sp: u32,
+    /// FPCAR while FPCCR.LSPACT is set: where the floating-point registers of the interrupted program go before the handler
+    /// uses the unit.
+    pub(super) lazy_frame: Option<u32>,
     /// Single-precision registers.
     pub(super) s: [u32; 32],
     pub(super) fpscr: u32,
@@ -134,8 +125,6 @@ pub(super) struct State {
     pub(super) float_ready: bool,
     pub(super) sleep: Sleep,
 
-    /// Address of the last [`Fault::DataBus`].
-    pub(super) fault_address: u32,
     /// EXC_RETURN value of the last [`Trap::ExceptionReturn`].
     pub(super) exception_return: u32,
 
@@ -151,10 +140,7 @@ pub(super) struct State {
     /// Cycles of this core awake.
     pub(super) cycles: u64,
     pub(super) instructions: u64,
-    /// Addresses of the last instructions; the next one goes to index `instructions % 64`.
-    pub(super) history: [u32; HISTORY],
     pub(super) lowest_sp: u32,
-    pub(super) lowest_inactive_sp: u32,
     pub(super) recorder: Recorder,
 }
 
@@ -168,18 +154,14 @@ impl State {
             exception: 0,
             thumb: true,
             primask: false,
-            faultmask: false,
             basepri: 0,
-            unprivileged: false,
-            process_stack: false,
             float_active: false,
-            inactive_sp: 0,
+            lazy_frame: None,
             s: [0; 32],
             fpscr: 0,
             exclusive: false,
             float_ready: false,
             sleep: Sleep::Awake,
-            fault_address: 0,
             exception_return: 0,
             executed: [Span::EMPTY; 2],
             stored_code: None,
@@ -187,9 +169,7 @@ impl State {
             model,
             cycles: 0,
             instructions: 0,
-            history: [0; HISTORY],
             lowest_sp: u32::MAX,
-            lowest_inactive_sp: u32::MAX,
             recorder: Recorder::new(),
         }
     }
@@ -199,14 +179,11 @@ impl State {
     pub(super) fn reset(&mut self) {
         let attributed = (self.exception, self.instructions, self.cycles);
         self.recorder.attribute(attributed.0, attributed.1, attributed.2);
-        self.select_process_stack(false);
         *self = Self {
             executed: self.executed,
             cycles: self.cycles,
             instructions: self.instructions,
-            history: self.history,
             lowest_sp: self.lowest_sp,
-            lowest_inactive_sp: self.lowest_inactive_sp,
             recorder: self.recorder.clone(),
             ..Self::new(self.model)
         };
@@ -281,37 +258,6 @@ impl State {
 
     pub(super) fn in_handler(&self) -> bool {
         self.exception != 0
-    }
-
-    pub(super) fn privileged(&self) -> bool {
-        self.in_handler() || !self.unprivileged
-    }
-
-    /// Uses the process or the main stack pointer as `r[13]`.
-    pub(super) fn select_process_stack(&mut self, process: bool) {
-        if process != self.process_stack {
-            self.process_stack = process;
-            std::mem::swap(&mut self.r[SP], &mut self.inactive_sp);
-            std::mem::swap(&mut self.lowest_sp, &mut self.lowest_inactive_sp);
-        }
-    }
-
-    pub(super) fn main_sp(&self) -> u32 {
-        if self.process_stack { self.inactive_sp } else { self.r[SP] }
-    }
-
-    pub(super) fn process_sp(&self) -> u32 {
-        if self.process_stack { self.r[SP] } else { self.inactive_sp }
-    }
-
-    pub(super) fn set_main_sp(&mut self, value: u32) {
-        let sp = if self.process_stack { &mut self.inactive_sp } else { &mut self.r[SP] };
-        *sp = value & !3;
-    }
-
-    pub(super) fn set_process_sp(&mut self, value: u32) {
-        let sp = if self.process_stack { &mut self.r[SP] } else { &mut self.inactive_sp };
-        *sp = value & !3;
     }
 
     /// Passes time.

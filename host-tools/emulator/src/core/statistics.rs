@@ -2,9 +2,6 @@
 
 use crate::core::EXCEPTIONS;
 
-/// Number of instruction addresses that are kept for reports.
-pub const HISTORY: usize = 64;
-
 /// Execution of one exception, or of thread mode (exception number 0).
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct ExceptionStatistics {
@@ -26,19 +23,13 @@ pub struct ExceptionStatistics {
 pub struct Statistics {
     /// Indexed by exception number: 0 thread mode, 16 and above external interrupts.
     pub by_exception: [ExceptionStatistics; EXCEPTIONS],
-    /// Lowest value of the main stack pointer at the end of an instruction.
+    /// Lowest value of the stack pointer at the end of an instruction.
     pub lowest_msp: u32,
-    /// Lowest value of the process stack pointer at the end of an instruction while it was in use.
-    pub lowest_psp: u32,
 }
 
 impl Default for Statistics {
     fn default() -> Self {
-        Self {
-            by_exception: [ExceptionStatistics::default(); EXCEPTIONS],
-            lowest_msp: u32::MAX,
-            lowest_psp: u32::MAX,
-        }
+        Self { by_exception: [ExceptionStatistics::default(); EXCEPTIONS], lowest_msp: u32::MAX }
     }
 }
 
@@ -89,9 +80,8 @@ impl Recorder {
         entry.longest_cycles = entry.longest_cycles.max(cycles - self.entered[number]);
     }
 
-    pub(super) fn statistics(&mut self, lowest_msp: u32, lowest_psp: u32) -> &Statistics {
+    pub(super) fn statistics(&mut self, lowest_msp: u32) -> &Statistics {
         self.statistics.lowest_msp = lowest_msp;
-        self.statistics.lowest_psp = lowest_psp;
         &self.statistics
     }
 

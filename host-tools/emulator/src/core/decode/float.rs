@@ -1,7 +1,7 @@
 //! Floating-point extension, FPv4-SP (DDI0403E A6).
 
 use crate::core::decode::{Decoded, Invalid, bit, bits, general, require};
-use crate::core::instruction::{FloatRegister, Instruction, MultipleMode, MultiplyAdd, Register};
+use crate::core::instruction::{FloatRegister, Instruction, MultipleMode, Register};
 
 /// Any instruction of the coprocessor space.
 pub(super) fn decode(h: u32, h2: u32) -> Decoded {
@@ -45,21 +45,18 @@ fn data_processing(h: u32, h2: u32) -> Decoded {
     let n = register(h, 0, h2, 7);
     let m = register(h2, 0, h2, 5);
     let second = bit(h2, 6);
-    let other = |operation| Instruction::FloatMultiplyAddOther(operation, d, n, m);
     Ok(match (bit(h, 7), bits(h, 4, 2), second) {
         (false, 0b00, false) => Instruction::FloatMultiplyAdd(d, n, m),
         (false, 0b00, true) => Instruction::FloatMultiplySubtract(d, n, m),
-        (false, 0b01, false) => other(MultiplyAdd::NegatedSubtract),
-        (false, 0b01, true) => other(MultiplyAdd::NegatedAdd),
+        (false, 0b01, false) => Instruction::FloatNegatedMultiplySubtract(d, n, m),
+        (false, 0b01, true) => Instruction::FloatNegatedMultiplyAdd(d, n, m),
         (false, 0b10, false) => Instruction::FloatMultiply(d, n, m),
         (false, 0b10, true) => Instruction::FloatNegatedMultiply(d, n, m),
         (false, 0b11, false) => Instruction::FloatAdd(d, n, m),
         (false, 0b11, true) => Instruction::FloatSubtract(d, n, m),
         (true, 0b00, false) => Instruction::FloatDivide(d, n, m),
-        (true, 0b01, false) => other(MultiplyAdd::FusedNegatedSubtract),
-        (true, 0b01, true) => other(MultiplyAdd::FusedNegatedAdd),
-        (true, 0b10, false) => other(MultiplyAdd::FusedAdd),
-        (true, 0b10, true) => other(MultiplyAdd::FusedSubtract),
+        // Rounded once: VFMA and the like.
+        (true, 0b01 | 0b10, _) => return Err(Invalid::Unpredictable),
         (true, 0b11, false) => {
             require(!bit(h2, 7) && !bit(h2, 5))?;
             let value = expand_constant(bits(h, 0, 4) << 4 | bits(h2, 0, 4));

@@ -194,8 +194,9 @@ fn miscellaneous(h: u32, inside_it_block: bool) -> Decoded {
             Instruction::Push(list)
         }
         0b0110 if bits(h, 5, 3) == 0b011 => {
-            require(!inside_it_block && !bit(h, 3) && !bit(h, 2) && bits(h, 0, 2) != 0)?;
-            Instruction::ChangeState(bit(h, 4), bit(h, 1), bit(h, 0))
+            // FAULTMASK is not modelled.
+            require(!inside_it_block && bits(h, 0, 4) == 0b0010)?;
+            Instruction::ChangeState(bit(h, 4))
         }
         0b1010 => match bits(h, 6, 2) {
             0b00 => Instruction::ReverseBytes(d, m),
@@ -246,7 +247,8 @@ fn multiple(h: u32) -> Decoded {
 fn conditional_branch(h: u32, inside_it_block: bool) -> Decoded {
     match bits(h, 8, 4) {
         0b1110 => Err(Invalid::Undefined),
-        0b1111 => Ok(Instruction::SupervisorCall),
+        // SVC.
+        0b1111 => Err(Invalid::Unpredictable),
         code => {
             require(!inside_it_block)?;
             let offset = sign_extend(bits(h, 0, 8) << 1, 9) as i32;

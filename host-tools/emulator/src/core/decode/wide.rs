@@ -6,7 +6,7 @@ use crate::core::decode::{
 };
 use crate::core::instruction::{
     DataOperation, DspMultiply, Extension, Instruction, LogicalFlags, LongMultiply, ParallelFormat,
-    ParallelOperation, Register,
+    ParallelOperation, Register, SpecialRegister,
 };
 
 /// `h` and `h2` are the first and the second halfword.
@@ -306,21 +306,15 @@ fn branches_and_control(h: u32, h2: u32) -> Decoded {
 
 /// MSR, hints, barriers, MRS (A5.3.4 and A5.3.5).
 fn control(h: u32, h2: u32) -> Decoded {
-    let special = bits(h2, 0, 8) as u8;
     require(!bit(h2, 13))?;
     match bits(h, 4, 7) {
         0b0111000 => {
-            let mask = bits(h2, 10, 2) as u8;
-            require(is_special_register(special) && mask != 0)?;
-            // The parts of GE exist in the APSR only.
-            require(mask == 2 || special < 4)?;
-            require(bits(h2, 8, 2) == 0)?;
-            Ok(Instruction::WriteSpecial(general(h, 0)?, mask, special))
+            require(bits(h2, 8, 4) == 0b1000)?;
+            Ok(Instruction::WriteSpecial(general(h, 0)?, special_register(h2)?))
         }
         0b0111110 => {
-            require(is_special_register(special))?;
             require(bits(h, 0, 4) == 0b1111)?;
-            Ok(Instruction::ReadSpecial(general(h2, 8)?, special))
+            Ok(Instruction::ReadSpecial(general(h2, 8)?, special_register(h2)?))
         }
         0b0111010 if bits(h2, 8, 3) == 0 => {
             require(bits(h, 0, 4) == 0b1111 && !bit(h2, 11))?;
@@ -339,9 +333,16 @@ fn control(h: u32, h2: u32) -> Decoded {
     }
 }
 
-/// Numbers of the special registers (B5.1.1): parts of the xPSR, stack pointers, masks, CONTROL.
-const fn is_special_register(number: u8) -> bool {
-    matches!(number, 0..=3 | 5..=9 | 16..=20)
+/// Special registers by their numbers (B5.1.1). Parts of the xPSR, the process stack pointer, FAULTMASK and CONTROL are not
+/// modelled.
+const fn special_register(h2: u32) -> Result<SpecialRegister, Invalid> {
+    Ok(match bits(h2, 0, 8) {
+        8 => SpecialRegister::Msp,
+        16 => SpecialRegister::Primask,
+        17 => SpecialRegister::Basepri,
+        18 => SpecialRegister::BasepriMax,
+        _ => return Err(Invalid::Unpredictable),
+    })
 }
 
 /// A5.3.12.
@@ -431,7 +432,9 @@ fn miscellaneous(h: u32, h2: u32) -> Decoded {
     // The operand of these is encoded twice.
     require(matches!(group, 0b00 | 0b10) || n == m)?;
     Ok(match (group, operation) {
-        (0b00, _) => Instruction::SaturatingAdd(d, n, m, bit(operation, 1), bit(operation, 0)),
+        // QDADD and QDSUB are not modelled.
+        (0b00, 0b01 | 0b11) => return Err(Invalid::Unpredictable),
+        (0b00, _) => Instruction::SaturatingAdd(d, n, m, bit(operation, 1)),
         (0b01, 0b00) => Instruction::ReverseBytes(d, m),
         (0b01, 0b01) => Instruction::ReverseHalfwords(d, m),
         (0b01, 0b10) => Instruction::ReverseBits(d, m),
@@ -449,7 +452,8 @@ fn multiply(h: u32, h2: u32) -> Decoded {
         (0b001, 0b0000..=0b0011) => Some(DspMultiply::Half { n_top, m_top }),
         (0b010, 0b0000 | 0b0001) => Some(DspMultiply::DualAdd { exchange: m_top }),
         (0b011, 0b0000 | 0b0001) => Some(DspMultiply::WordByHalf { m_top }),
-        (0b100, 0b0000 | 0b0001) => Some(DspMultiply::DualSubtract { exchange: m_top }),
+        // SMLSD.
+        (0b100, 0b0000 | 0b0001) => return Err(Invalid::Unpredictable),
         (0b101, 0b0000 | 0b0001) => Some(DspMultiply::MostSignificant { round: m_top }),
         (0b110, 0b0000 | 0b0001) => Some(DspMultiply::MostSignificantSubtract { round: m_top }),
         (0b111, 0b0000) => return Err(Invalid::Unpredictable),
@@ -475,7 +479,6 @@ fn multiply(h: u32, h2: u32) -> Decoded {
 
 /// A5.3.17.
 fn long_multiply(h: u32, h2: u32) -> Decoded {
-    let (n_top, m_top) = (bit(h2, 5), bit(h2, 4));
     let operation = match (bits(h, 4, 3), bits(h2, 4, 4)) {
         (0b000, 0b0000) => LongMultiply::Signed,
         (0b001 | 0b011, 0b1111) => {
@@ -489,9 +492,8 @@ fn long_multiply(h: u32, h2: u32) -> Decoded {
         }
         (0b010, 0b0000) => LongMultiply::Unsigned,
         (0b100, 0b0000) => LongMultiply::SignedAccumulate,
-        (0b100, 0b1000..=0b1011) => LongMultiply::HalfAccumulate { n_top, m_top },
-        (0b100, 0b1100 | 0b1101) => LongMultiply::DualAddAccumulate { exchange: m_top },
-        (0b101, 0b1100 | 0b1101) => LongMultiply::DualSubtractAccumulate { exchange: m_top },
+        // SMLALxy, SMLALD and SMLSLD.
+        (0b100, 0b1000..=0b1101) | (0b101, 0b1100 | 0b1101) => return Err(Invalid::Unpredictable),
         (0b110, 0b0000) => LongMultiply::UnsignedAccumulate,
         (0b110, 0b0110) => LongMultiply::UnsignedAccumulateTwo,
         _ => return Err(Invalid::Undefined),

@@ -1,9 +1,8 @@
 //! Data processing: shifted operands, results with flags, division.
 
 use crate::core::arithmetic::{Shift, add_with_carry, shift_with_carry, subtract};
-use crate::core::bus::Bus;
 use crate::core::instruction::{DataOperation, Register};
-use crate::core::state::{Fault, State, Trap};
+use crate::core::state::State;
 
 impl State {
     /// Writes a result and, where `flags`, its condition flags.
@@ -89,14 +88,6 @@ impl State {
     #[inline(always)]
     pub(super) fn rotated(&self, m: Register, rotation: u8) -> u32 {
         self.read(m).rotate_right(rotation as u32)
-    }
-
-    #[inline(always)]
-    pub(super) fn check_divisor<B: Bus>(&mut self, bus: &mut B, m: Register) -> Result<(), Trap> {
-        if self.read(m) == 0 && bus.system().traps_division_by_zero() {
-            return Err(Trap::Fault(Fault::DivideByZero));
-        }
-        Ok(())
     }
 }
 

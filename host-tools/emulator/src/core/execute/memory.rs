@@ -4,16 +4,9 @@ use crate::core::Width;
 use crate::core::bus::{Bus, BusError};
 use crate::core::instruction::{IndexMode, LoadKind, Register};
 use crate::core::state::{Fault, PC, Span, State, Trap, executed_index};
-use crate::core::system_control::fault_status;
 
 /// Accesses from here on reach peripherals and the system region.
 const DEVICES: u32 = 0x4000_0000;
-/// Start of the private peripheral bus and the vendor's system region.
-const SYSTEM: u32 = 0xE000_0000;
-/// End of the private peripheral bus.
-const PRIVATE_END: u32 = 0xE010_0000;
-/// Software trigger interrupt register, which unprivileged code may be allowed to write.
-const STIR: u32 = 0xE000_EF00;
 
 /// Whether the default memory map (B3.1) declares a region for devices, where an access must be
 /// aligned and nothing can be executed.
@@ -76,16 +69,13 @@ impl State {
         width: Width,
     ) -> Result<u32, Trap> {
         if address & (width.bytes() - 1) != 0 || address >= DEVICES {
-            self.check_access(bus, address, width, false)?;
+            self.check_access(bus, address, width)?;
         }
         let wait = self.model.data_wait(address);
         if wait != 0 {
             self.elapse(bus, wait);
         }
-        match bus.read(address, width) {
-            Ok(value) => Ok(value),
-            Err(BusError) => self.refused(bus, address).map(|()| 0),
-        }
+        bus.read(address, width).map_err(|BusError| Trap::Fault(Fault::DataBus))
     }
 
     /// Stores of one register: unaligned accesses to memory are allowed.
@@ -98,16 +88,14 @@ impl State {
         value: u32,
     ) -> Result<(), Trap> {
         if address & (width.bytes() - 1) != 0 || address >> 29 != 1 {
-            self.check_access(bus, address, width, true)?;
+            self.check_access(bus, address, width)?;
         }
         let value = match width {
             Width::Byte => value & 0xFF,
             Width::Half => value & 0xFFFF,
             Width::Word => value,
         };
-        if let Err(BusError) = bus.write(address, width, value) {
-            return self.refused(bus, address);
-        }
+        bus.write(address, width, value).map_err(|BusError| Trap::Fault(Fault::DataBus))?;
         if self.executed[executed_index(address)].contains(address) {
             self.record_code_store(bus, address, width);
         }
@@ -142,35 +130,13 @@ impl State {
         bus: &mut B,
         address: u32,
         width: Width,
-        store: bool,
     ) -> Result<(), Trap> {
-        let system = bus.system();
         let aligned = address & (width.bytes() - 1) == 0;
-        if !aligned && (system.traps_unaligned() || is_device(address)) {
+        if !aligned && is_device(address) {
             return Err(Trap::Fault(Fault::Unaligned));
         }
-        let is_private = (SYSTEM..PRIVATE_END).contains(&address);
-        let trigger = store && address == STIR && system.allows_unprivileged_trigger();
-        if is_private && !self.privileged() && !trigger {
-            self.fault_address = address;
-            return Err(Trap::Fault(Fault::DataBus));
-        }
-        system.synchronise(self.cycles);
+        bus.system().synchronise(self.cycles);
         bus.set_program_counter(self.r[PC].wrapping_sub(4));
         Ok(())
-    }
-
-    /// The bus refused a data access. With CCR.BFHFNMIGN such an access is without effect at negative
-    /// priorities; a load then gives 0.
-    #[cold]
-    fn refused<B: Bus>(&mut self, bus: &mut B, address: u32) -> Result<(), Trap> {
-        self.fault_address = address;
-        let priority = self.execution_priority(bus.system());
-        let system = bus.system();
-        if system.ignores_bus_faults() && priority < 0 {
-            system.record_bus_fault(fault_status::PRECISE, Some(address));
-            return Ok(());
-        }
-        Err(Trap::Fault(Fault::DataBus))
     }
 }

@@ -194,11 +194,9 @@ impl State {
                 self.long_multiply(operation, low, high, self.read(n), self.read(m));
             }
             I::DivideSigned(d, n, m) => {
-                self.check_divisor(bus, m)?;
                 self.write(d, divide_signed(self.read(n), self.read(m)));
             }
             I::DivideUnsigned(d, n, m) => {
-                self.check_divisor(bus, m)?;
                 self.write(d, divide_unsigned(self.read(n), self.read(m)));
             }
 
@@ -208,8 +206,8 @@ impl State {
             I::Parallel(operation, d, n, m) => {
                 self.parallel(operation, d, self.read(n), self.read(m));
             }
-            I::SaturatingAdd(d, n, m, subtract, double) => {
-                self.saturating_add(d, self.read(n), self.read(m), subtract, double);
+            I::SaturatingAdd(d, n, m, subtract) => {
+                self.saturating_add(d, self.read(n), self.read(m), subtract);
             }
             I::PackHalfwords(d, n, m, top, shift, amount) => {
                 let operand = shift_with_carry(self.read(m), shift, amount as u32, self.carry()).0;
@@ -408,14 +406,9 @@ impl State {
                 self.barrier = true;
                 bus.system().request_recheck();
             }
-            I::ChangeState(disable, primask, faultmask) => {
-                self.change_state(bus, disable, primask, faultmask);
-            }
+            I::ChangeState(masked) => self.change_state(bus, masked),
             I::ReadSpecial(d, special) => self.write(d, self.read_special(special)),
-            I::WriteSpecial(n, mask, special) => {
-                self.write_special(bus, special, mask, self.read(n));
-            }
-            I::SupervisorCall => return Err(Trap::SupervisorCall),
+            I::WriteSpecial(n, special) => self.write_special(bus, special, self.read(n)),
             I::Breakpoint(immediate) => return Err(Trap::Breakpoint(immediate)),
             I::Undefined => return Err(Trap::Fault(Fault::Undefined)),
             I::NoCoprocessor => return Err(Trap::Fault(Fault::NoCoprocessor)),
@@ -453,9 +446,15 @@ impl State {
                 let negated = product ^ SIGN;
                 self.s[d.index()] = float::add(self.s[d.index()], negated);
             }
-            I::FloatMultiplyAddOther(operation, d, n, m) => {
+            I::FloatNegatedMultiplyAdd(d, n, m) => {
                 self.check_float(bus)?;
-                self.float_multiply_add(operation, d, n, m);
+                let product = float::multiply(self.s[n.index()], self.s[m.index()]);
+                self.s[d.index()] = float::add(self.s[d.index()] ^ SIGN, product ^ SIGN);
+            }
+            I::FloatNegatedMultiplySubtract(d, n, m) => {
+                self.check_float(bus)?;
+                let product = float::multiply(self.s[n.index()], self.s[m.index()]);
+                self.s[d.index()] = float::add(self.s[d.index()] ^ SIGN, product);
             }
             I::FloatSquareRoot(d, m) => {
                 self.check_float(bus)?;

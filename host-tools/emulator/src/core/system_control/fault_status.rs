@@ -1,4 +1,4 @@
-//! Bits of the fault status registers (DDI0403E B3.2.15 and B3.2.16).
+//! Bits of the configurable fault status register, CFSR (DDI0403E B3.2.15).
 
 /// MMFSR: instruction fetch from a region that is execute never.
 pub const INSTRUCTION_ACCESS: u32 = 1 << 0;
@@ -12,7 +12,7 @@ pub const UNSTACKING: u32 = 1 << 11;
 pub const STACKING: u32 = 1 << 12;
 /// BFSR: the floating-point registers could not be preserved.
 pub const LAZY_STACKING: u32 = 1 << 13;
-/// BFSR: the BFAR contains the address of the fault.
+/// BFSR: the address of the fault is known. Its register is not modelled.
 pub const BFAR_VALID: u32 = 1 << 15;
 /// UFSR: undefined instruction.
 pub const UNDEFINED: u32 = 1 << 16;
@@ -24,10 +24,3 @@ pub const INVALID_RETURN: u32 = 1 << 18;
 pub const NO_COPROCESSOR: u32 = 1 << 19;
 /// UFSR: unaligned access.
 pub const UNALIGNED: u32 = 1 << 24;
-/// UFSR: division by zero.
-pub const DIVISION_BY_ZERO: u32 = 1 << 25;
-
-/// HFSR: the vector of an exception could not be read.
-pub const VECTOR_TABLE: u32 = 1 << 1;
-/// HFSR: a fault whose own handler could not be entered.
-pub const FORCED: u32 = 1 << 30;

@@ -11,18 +11,6 @@ pub const EXCEPTIONS: usize = FIRST_INTERRUPT as usize + INTERRUPTS;
 pub const NMI: u16 = 2;
 /// Exception number of HardFault.
 pub const HARD_FAULT: u16 = 3;
-/// Exception number of MemManage.
-pub const MEM_MANAGE: u16 = 4;
-/// Exception number of BusFault.
-pub const BUS_FAULT: u16 = 5;
-/// Exception number of UsageFault.
-pub const USAGE_FAULT: u16 = 6;
-/// Exception number of SVCall.
-pub const SV_CALL: u16 = 11;
-/// Exception number of PendSV.
-pub const PEND_SV: u16 = 14;
-/// Exception number of SysTick.
-pub const SYS_TICK: u16 = 15;
 /// Exception number of external interrupt 0.
 pub const FIRST_INTERRUPT: u16 = 16;
 
@@ -65,24 +53,15 @@ impl SystemControl {
         }
     }
 
-    /// Level of an interrupt line.
-    pub fn line(&self, irq: usize) -> bool {
-        let (word, bit) = place(irq);
-        self.lines[word] & bit != 0
-    }
-
     /// Makes the non-maskable interrupt pending.
     pub fn pend_nmi(&mut self) {
         self.pend(NMI);
     }
 
-    /// Makes an exception pending. With SCR.SEVONPEND this is an event.
+    /// Makes an exception pending.
     pub(in super::super) fn pend(&mut self, exception: u16) {
         if !self.is_pending(exception) {
             self.pended[exception as usize % EXCEPTIONS] = self.cycles;
-            if self.events_on_pending() {
-                self.signal_event();
-            }
         }
         match irq(exception) {
             Some(irq) => {
@@ -135,18 +114,14 @@ impl SystemControl {
         }
     }
 
-    /// Whether an exception can be entered: interrupts by the ISER, the configurable faults by the
-    /// SHCSR; all others always.
+    /// Whether an exception can be entered: interrupts by the ISER, all others always.
     pub fn is_enabled(&self, exception: u16) -> bool {
         match irq(exception) {
             Some(irq) => {
                 let (word, bit) = place(irq);
                 self.enabled[word] & bit != 0
             }
-            None => match exception {
-                MEM_MANAGE..=USAGE_FAULT => self.fault_enable >> (exception - MEM_MANAGE) & 1 != 0,
-                _ => true,
-            },
+            None => true,
         }
     }
 
@@ -156,24 +131,8 @@ impl SystemControl {
         match (irq(exception), exception) {
             (Some(irq), _) => self.interrupt_priority[irq] as i32,
             (None, 1..=3) => exception as i32 - 4,
-            (None, 4..=15) => self.system_priority[exception as usize] as i32,
             _ => IDLE_PRIORITY,
         }
-    }
-
-    /// Part of a priority that decides about preemption, by AIRCR.PRIGROUP.
-    pub(in super::super) fn group_priority(&self, priority: i32) -> i32 {
-        if priority < 0 { priority } else { priority & !((2 << self.priority_group) - 1) }
-    }
-
-    /// Number of the exception whose handler is executing, 0 in thread mode.
-    pub fn current_exception(&self) -> u16 {
-        self.current
-    }
-
-    /// Exceptions that are active, in ascending order of their numbers.
-    pub fn active_exceptions(&self) -> impl Iterator<Item = u16> {
-        (1..EXCEPTIONS as u16).filter(|&exception| self.is_active(exception))
     }
 
     /// Priority of the active exceptions (`ExecutionPriority` without the mask registers, B1.5.4).
@@ -186,7 +145,7 @@ impl SystemControl {
                 consider(FIRST_INTERRUPT + (word * 32) as u16 + bit as u16);
             }
         }
-        if highest == IDLE_PRIORITY { highest } else { self.group_priority(highest) }
+        highest
     }
 
     /// Number of active exceptions.
@@ -226,7 +185,6 @@ impl SystemControl {
             None => self.system_active |= 1 << (exception & 15),
         }
         self.clear_pending(exception);
-        self.current = exception;
     }
 
     /// Return from an exception: it is no longer active, and pending again where its line is high.
@@ -241,11 +199,6 @@ impl SystemControl {
             }
             None => self.system_active &= !(1 << (exception & 15)),
         }
-    }
-
-    /// The processor continues an exception or thread mode (0).
-    pub(in super::super) fn set_current(&mut self, exception: u16) {
-        self.current = exception;
     }
 }
 

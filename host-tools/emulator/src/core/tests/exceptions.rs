@@ -1,6 +1,6 @@
 //! Entry, return, priorities, masks, tail-chaining.
 
-use crate::core::tests::{DATA, END, FLASH, Machine, PROGRAM, SRAM, STACK, Z};
+use crate::core::tests::{DATA, FLASH, Machine, PROGRAM, STACK, Z};
 
 /// Handlers are here, 0x40 bytes each.
 const HANDLERS: u32 = PROGRAM + 0x400;
@@ -8,8 +8,6 @@ const HANDLERS: u32 = PROGRAM + 0x400;
 const ISER: u32 = 0xE000_E100;
 const ISPR: u32 = 0xE000_E200;
 const IPR: u32 = 0xE000_E400;
-const ICSR: u32 = 0xE000_ED04;
-const AIRCR: u32 = 0xE000_ED0C;
 
 /// A machine whose interrupts 0 to 3 are enabled with the given priorities. Their handlers append
 /// their exception number to the bytes from r6 on.
@@ -20,13 +18,14 @@ fn with_interrupts(program: &[u16], priorities: [u8; 4]) -> Machine {
             16 + irq,
             HANDLERS + 0x40 * irq,
             &[
-                0xF3EF, 0x8005, // mrs r0, ipsr
-                0xF806, 0x0B01, // strb.w r0, [r6], #1
+                0x2010 + irq as u16, // movs r0, #16 + irq
+                0xF806,
+                0x0B01, // strb.w r0, [r6], #1
                 0x4770, // bx lr
             ],
         );
     }
-    machine.core.set_register(6, DATA);
+    machine.set_r(6, DATA);
     machine.system_write(IPR, u32::from_le_bytes(priorities));
     machine.system_write(ISER, 0xF);
     machine
@@ -41,46 +40,33 @@ fn entered(machine: &mut Machine) -> Vec<u8> {
 fn entry_stacks_the_frame_and_return_restores_it() {
     let mut machine = with_interrupts(&[0xBF00, 0xBF00], [0; 4]); // nop; nop
     for number in 0..4 {
-        machine.core.set_register(number, 0x100 + number as u32);
+        machine.set_r(number, 0x100 + number as u32);
     }
-    machine.core.set_register(12, 0x112);
-    machine.core.set_register(14, 0x115);
-    machine.core.set_xpsr(Z | 0xA << 16);
+    machine.set_r(12, 0x112);
+    machine.set_r(14, 0x115);
+    machine.core.state.apsr = Z;
     machine.step(1);
-    machine.bus.system.set_line(0, true);
-    machine.bus.system.set_line(0, false);
+    machine.interrupt(0);
     machine.step(1);
     assert_eq!(machine.core.current_exception(), 16);
     assert_eq!((machine.r(14), machine.r(13)), (0xFFFF_FFF9, STACK - 32));
     let frame: Vec<u32> = (0..8).map(|k| machine.word(STACK - 32 + 4 * k)).collect();
-    let xpsr = Z | 0xA << 16 | 1 << 24;
+    let xpsr = Z | 1 << 24;
     assert_eq!(frame, [0x100, 0x101, 0x102, 0x103, 0x112, 0x115, PROGRAM + 2, xpsr]);
     machine.finish();
     assert_eq!([0, 1, 2, 3, 12, 14].map(|k| machine.r(k)), frame[..6]);
-    assert_eq!((machine.r(13), machine.core.xpsr()), (STACK, xpsr));
+    assert_eq!((machine.r(13), machine.core.state.xpsr()), (STACK, xpsr));
 }
 
 #[test]
-fn frame_is_aligned_to_8_bytes_by_stkalign() {
+fn frame_is_aligned_to_8_bytes() {
     let mut machine = with_interrupts(&[0xB081], [0; 4]); // sub sp, #4
     machine.step(1);
-    machine.bus.system.set_line(1, true);
-    machine.bus.system.set_line(1, false);
+    machine.interrupt(1);
     machine.step(1);
     assert_eq!(machine.r(13), STACK - 40);
     // Bit 9 of the stacked xPSR.
     assert_ne!(machine.word(STACK - 40 + 28) & 1 << 9, 0);
-    machine.finish();
-    assert_eq!(machine.r(13), STACK - 4);
-
-    // Without STKALIGN the frame follows directly.
-    let mut machine = with_interrupts(&[0xB081], [0; 4]); // sub sp, #4
-    machine.system_write(0xE000_ED14, 0);
-    machine.step(1);
-    machine.bus.system.set_line(1, true);
-    machine.bus.system.set_line(1, false);
-    machine.step(1);
-    assert_eq!(machine.r(13), STACK - 36);
     machine.finish();
     assert_eq!(machine.r(13), STACK - 4);
 }
@@ -89,8 +75,7 @@ fn frame_is_aligned_to_8_bytes_by_stkalign() {
 fn pending_exceptions_are_taken_by_priority_then_number() {
     let mut machine = with_interrupts(&[0xBF00], [0x30, 0x10, 0x20, 0x10]); // nop
     for irq in 0..4 {
-        machine.bus.system.set_line(irq, true);
-        machine.bus.system.set_line(irq, false);
+        machine.interrupt(irq);
     }
     machine.finish();
     assert_eq!(entered(&mut machine), [17, 19, 18, 16]);
@@ -108,41 +93,16 @@ fn higher_priority_preempts_and_equal_does_not() {
                 0x2002, // movs r0, #2
                 0x6038, // str r0, [r7]
                 0xBF00, // nop
-                0xF3EF, 0x8005, // mrs r0, ipsr
+                0x2010, // movs r0, #16
                 0xF806, 0x0B01, // strb.w r0, [r6], #1
                 0x4770, // bx lr
             ],
         );
-        machine.core.set_register(7, ISPR);
-        machine.bus.system.set_line(0, true);
-        machine.bus.system.set_line(0, false);
+        machine.set_r(7, ISPR);
+        machine.interrupt(0);
         machine.finish();
         assert_eq!(entered(&mut machine), order, "priority {priority:#x}");
     }
-}
-
-#[test]
-fn subpriority_orders_but_does_not_preempt() {
-    // PRIGROUP 5: bits 7 and 6 preempt, bits 5 and 4 order.
-    let mut machine = with_interrupts(&[0xBF00], [0x70, 0x50, 0x60, 0x40]); // nop
-    machine.system_write(AIRCR, 0x05FA_0500);
-    machine.handler(
-        16,
-        HANDLERS + 0x200,
-        &[
-            0x200E, // movs r0, #14
-            0x6038, // str r0, [r7]
-            0xBF00, // nop
-            0xF3EF, 0x8005, // mrs r0, ipsr
-            0xF806, 0x0B01, // strb.w r0, [r6], #1
-            0x4770, // bx lr
-        ],
-    );
-    machine.core.set_register(7, ISPR);
-    machine.bus.system.set_line(0, true);
-    machine.bus.system.set_line(0, false);
-    machine.finish();
-    assert_eq!(entered(&mut machine), [16, 19, 17, 18]);
 }
 
 #[test]
@@ -157,11 +117,10 @@ fn basepri_masks_its_priority_and_lower_ones() {
         ],
         [0x10, 0x20, 0x30, 0],
     );
-    machine.core.set_register(6, DATA);
+    machine.set_r(6, DATA);
     machine.step(2);
     for irq in 0..3 {
-        machine.bus.system.set_line(irq, true);
-        machine.bus.system.set_line(irq, false);
+        machine.interrupt(irq);
     }
     machine.step(4); // three instructions of handler 16, then the nop
     assert_eq!(entered(&mut machine), [16]);
@@ -178,12 +137,12 @@ fn basepri_max_raises_the_priority_only() {
         0xF383, 0x8812, // msr basepri_max, r3
     ]);
     for (number, value) in [0x40, 0x60, 0x2F, 0].into_iter().enumerate() {
-        machine.core.set_register(number, value);
+        machine.set_r(number, value);
     }
     let levels = [0x40, 0x40, 0x20, 0x20];
     for level in levels {
         machine.step(1);
-        assert_eq!(machine.core.masks(), (false, false, level));
+        assert_eq!(machine.core.state.basepri, level);
     }
 }
 
@@ -199,8 +158,7 @@ fn primask_masks_interrupts_and_not_nmi() {
     );
     machine.handler(2, HANDLERS + 0x200, &[0x2107, 0x4770]); // movs r1, #7; bx lr
     machine.step(1);
-    machine.bus.system.set_line(0, true);
-    machine.bus.system.set_line(0, false);
+    machine.interrupt(0);
     machine.bus.system.pend_nmi();
     machine.step(1);
     assert_eq!(machine.core.current_exception(), 2);
@@ -211,63 +169,10 @@ fn primask_masks_interrupts_and_not_nmi() {
 }
 
 #[test]
-fn faultmask_ends_with_the_return_from_an_exception() {
-    let mut machine = with_interrupts(&[0xDF00], [0; 4]); // svc 0
-    machine.handler(
-        11,
-        HANDLERS + 0x200,
-        &[
-            0xB671, // cpsid f
-            0x4770, // bx lr
-        ],
-    );
-    machine.step(2);
-    assert_eq!(machine.core.masks(), (false, true, 0));
-    machine.bus.system.set_line(0, true);
-    machine.bus.system.set_line(0, false);
-    machine.finish();
-    assert_eq!(machine.core.masks(), (false, false, 0));
-    assert_eq!(entered(&mut machine), [16]);
-}
-
-#[test]
-fn faultmask_remains_after_the_return_from_nmi() {
-    let mut machine = with_interrupts(&[0xB671, 0xBF00], [0; 4]); // cpsid f; nop
-    machine.handler(2, HANDLERS + 0x200, &[0x4770]); // bx lr
-    machine.step(1);
-    machine.bus.system.pend_nmi();
-    machine.step(1);
-    assert_eq!(machine.core.masks(), (false, true, 0));
-    machine.finish();
-    assert_eq!(machine.core.masks(), (false, true, 0));
-}
-
-#[test]
-fn faultmask_masks_and_blocks_configurable_exceptions() {
-    let mut machine = with_interrupts(
-        &[
-            0xB671, // cpsid f
-            0xBF00, // nop
-            0xB661, // cpsie f
-        ],
-        [0; 4],
-    );
-    machine.step(1);
-    machine.bus.system.set_line(0, true);
-    machine.bus.system.set_line(0, false);
-    machine.step(1);
-    assert_eq!(entered(&mut machine).len(), 0);
-    machine.finish();
-    assert_eq!(entered(&mut machine), [16]);
-}
-
-#[test]
 fn tail_chaining_takes_6_cycles_and_keeps_the_frame() {
     let mut machine = with_interrupts(&[0xBF00], [0x10, 0x20, 0, 0]); // nop
-    machine.bus.system.set_line(0, true);
-    machine.bus.system.set_line(0, false);
-    machine.bus.system.set_line(1, true);
-    machine.bus.system.set_line(1, false);
+    machine.interrupt(0);
+    machine.interrupt(1);
     // Entry, then mrs, strb and bx of the first handler: 12 + 1 + 1 + 1; the first handler does not
     // return.
     machine.step(3);
@@ -282,14 +187,12 @@ fn tail_chaining_takes_6_cycles_and_keeps_the_frame() {
 #[test]
 fn preempted_handler_returns_to_handler_mode() {
     let mut machine = with_interrupts(&[0xBF00], [0x20, 0x10, 0, 0]); // nop
-    machine.bus.system.set_line(0, true);
-    machine.bus.system.set_line(0, false);
+    machine.interrupt(0);
     machine.step(1);
-    machine.bus.system.set_line(1, true);
-    machine.bus.system.set_line(1, false);
+    machine.interrupt(1);
     machine.step(1);
     assert_eq!((machine.core.current_exception(), machine.r(14)), (17, 0xFFFF_FFF1));
-    assert_eq!(machine.bus.system.active_exceptions().collect::<Vec<_>>(), [16, 17]);
+    assert!(machine.bus.system.is_active(16) && machine.bus.system.is_active(17));
     machine.step(2);
     assert_eq!(machine.core.current_exception(), 16);
     machine.finish();
@@ -316,8 +219,7 @@ fn edge_during_the_handler_pends_it_once_more() {
     machine.bus.system.set_line(2, true);
     machine.step(1);
     machine.bus.system.set_line(2, false);
-    machine.bus.system.set_line(2, true);
-    machine.bus.system.set_line(2, false);
+    machine.interrupt(2);
     assert!(machine.bus.system.is_pending(18));
     machine.finish();
     assert_eq!(entered(&mut machine), [18, 18]);
@@ -339,67 +241,12 @@ fn clearing_a_pending_bit_fails_while_the_line_is_high() {
 fn disabled_interrupt_stays_pending_until_enabled() {
     let mut machine = with_interrupts(&[0xBF00, 0xBF00], [0; 4]); // nop; nop
     machine.system_write(0xE000_E180, 1);
-    machine.bus.system.set_line(0, true);
-    machine.bus.system.set_line(0, false);
+    machine.interrupt(0);
     machine.step(1);
     assert_eq!(machine.core.current_exception(), 0);
     machine.system_write(ISER, 1);
     machine.finish();
     assert_eq!(entered(&mut machine), [16]);
-}
-
-#[test]
-fn software_pends_by_stir_ispr_and_icsr() {
-    let mut machine = with_interrupts(
-        &[
-            0x2003, // movs r0, #3
-            0x6038, // str r0, [r7]
-            0xBF00, // nop
-        ],
-        [0; 4],
-    );
-    machine.core.set_register(7, 0xE000_EF00); // STIR
-    machine.finish();
-    assert_eq!(entered(&mut machine), [19]);
-
-    for (bit, exception) in [(28, 14), (26, 15), (31, 2)] {
-        let mut machine = with_interrupts(&[0xBF00], [0; 4]); // nop
-        machine.handler(
-            exception,
-            HANDLERS + 0x200,
-            &[
-                0xF3EF, 0x8105, // mrs r1, ipsr
-                0xF806, 0x1B01, // strb.w r1, [r6], #1
-                0x4770, // bx lr
-            ],
-        );
-        machine.system_write(ICSR, 1 << bit);
-        machine.finish();
-        assert_eq!(entered(&mut machine), [exception as u8]);
-    }
-}
-
-#[test]
-fn svc_returns_behind_itself_with_flags_kept() {
-    let mut machine = Machine::new(&[
-        0x2000, // movs r0, #0
-        0xDF2A, // svc 42
-        0x4601, // mov r1, r0
-    ]);
-    machine.handler(
-        11,
-        HANDLERS,
-        &[
-            0x9A06, // ldr r2, [sp, #24]
-            0x2307, // movs r3, #7
-            0x9300, // str r3, [sp, #0]
-            0x9206, // str r2, [sp, #24]
-            0x4770, // bx lr
-        ],
-    );
-    machine.finish();
-    // The handler changed the stacked r0.
-    assert_eq!((machine.r(1), machine.flags()), (7, Z));
 }
 
 #[test]
@@ -415,80 +262,16 @@ fn itstate_continues_after_an_exception() {
     let mut machine = with_interrupts(&program, [0; 4]);
     // The handler changes the flags.
     machine.handler(16, HANDLERS + 0x200, &[0x2001, 0x2801, 0x2802, 0x4770]); // movs r0, #1; cmp r0, #1; cmp r0, #2; bx lr
-    machine.core.set_register(2, 9);
+    machine.set_r(2, 9);
     machine.step(3);
-    machine.bus.system.set_line(0, true);
-    machine.bus.system.set_line(0, false);
+    machine.interrupt(0);
     machine.step(1);
     // ITSTATE 0b0001_1000 (ne, last) is stacked in bits 15 to 10 and 26 to 25; the handler has none.
     let xpsr = machine.word(STACK - 32 + 28);
     assert_eq!((xpsr >> 25 & 3, xpsr >> 10 & 0x3F), (0, 0b000110));
-    assert_eq!((machine.core.xpsr() & 0x0600_FC00, machine.r(0)), (0, 1));
+    assert_eq!((machine.core.state.xpsr() & 0x0600_FC00, machine.r(0)), (0, 1));
     machine.finish();
     assert_eq!([1, 2, 3].map(|k| machine.r(k)), [1, 9, 3]);
-}
-
-#[test]
-fn thread_on_the_process_stack_is_stacked_there() {
-    let mut machine = with_interrupts(
-        &[
-            0xF380, 0x8809, // msr psp, r0
-            0x2102, // movs r1, #2
-            0xF381, 0x8814, // msr control, r1
-            0xBF00, // nop
-        ],
-        [0; 4],
-    );
-    let process_stack = SRAM + 0x3000;
-    machine.core.set_register(0, process_stack);
-    machine.step(3);
-    assert_eq!((machine.r(13), machine.core.main_stack_pointer()), (process_stack, STACK));
-    machine.bus.system.set_line(0, true);
-    machine.bus.system.set_line(0, false);
-    machine.step(1);
-    assert_eq!((machine.r(14), machine.r(13)), (0xFFFF_FFFD, STACK));
-    assert_eq!(machine.core.process_stack_pointer(), process_stack - 32);
-    machine.finish();
-    assert_eq!((machine.r(13), machine.core.control()), (process_stack, 2));
-    let statistics = machine.core.statistics();
-    assert_eq!(statistics.lowest_psp, process_stack - 32);
-}
-
-#[test]
-fn handler_can_change_the_stack_of_thread_mode() {
-    // A context switch: the handler returns with EXC_RETURN 0xFFFF_FFFD to a prepared process frame.
-    let mut machine = Machine::new(&[0xDF00]); // svc 0
-    let frame = SRAM + 0x3000;
-    let target = PROGRAM + 0x100;
-    machine.place(target, &[END]);
-    machine.set_word(frame, 0x55);
-    machine.set_word(frame + 24, target);
-    machine.set_word(frame + 28, 1 << 24);
-    machine.handler(
-        11,
-        HANDLERS,
-        &[
-            0xF384, 0x8809, // msr psp, r4
-            0xF06F, 0x0E02, // mvn lr, #2
-            0x4770, // bx lr
-        ],
-    );
-    machine.core.set_register(4, frame);
-    machine.finish();
-    assert_eq!((machine.core.pc(), machine.r(0)), (target + 2, 0x55));
-    assert_eq!((machine.r(13), machine.core.control()), (frame + 32, 2));
-}
-
-#[test]
-fn vector_table_is_read_from_vtor() {
-    let mut machine = with_interrupts(&[0xBF00], [0; 4]); // nop
-    machine.place(HANDLERS + 0x300, &[0x2177, 0x4770]); // movs r1, #0x77; bx lr
-    machine.set_word(SRAM + 4 * 16, (HANDLERS + 0x300) | 1);
-    machine.system_write(0xE000_ED08, SRAM);
-    machine.bus.system.set_line(0, true);
-    machine.bus.system.set_line(0, false);
-    machine.step(1);
-    assert_eq!((machine.r(1), machine.core.pc()), (0x77, HANDLERS + 0x302));
 }
 
 #[test]
@@ -498,9 +281,27 @@ fn reset_loads_stack_and_entry_and_clears_the_state() {
     machine.step(2);
     machine.core.reset(&mut machine.bus).expect("the vector table is there");
     assert_eq!((machine.core.pc(), machine.r(13), machine.r(14)), (PROGRAM, STACK, u32::MAX));
-    assert_eq!(machine.core.masks(), (false, false, 0));
+    assert!(!machine.core.state.primask);
     assert_eq!(machine.system_read(ISER), 0);
     // The peripheral still drives its line.
     assert!(machine.bus.system.is_pending(17));
     assert_eq!(machine.word(FLASH), STACK);
+}
+
+#[test]
+fn exception_clears_the_exclusive_monitor() {
+    let mut machine = with_interrupts(&[0xE851, 0x0F00, 0xE841, 0x3200], [0; 4]); // ldrex r0, [r1]; strex r2, r3, [r1]
+    machine.set_r(1, DATA);
+    machine.step(1);
+    machine.interrupt(0);
+    machine.finish();
+    assert_eq!(machine.r(2), 1);
+}
+
+#[test]
+fn software_pends_an_interrupt_by_stir() {
+    let mut machine = with_interrupts(&[0x2003, 0x6038, 0xBF00], [0; 4]); // movs r0, #3; str r0, [r7]; nop
+    machine.set_r(7, 0xE000_EF00);
+    machine.finish();
+    assert_eq!(entered(&mut machine), [19]);
 }

@@ -1,12 +1,9 @@
-//! Floating-point context across exceptions: lazy and immediate stacking.
+//! Floating-point context across exceptions: lazy stacking.
 
 use crate::core::system_control::fault_status as status;
 use crate::core::tests::{END, Machine, PROGRAM, SRAM, STACK};
 
 const HANDLERS: u32 = PROGRAM + 0x400;
-const FPCCR: u32 = 0xE000_EF34;
-const FPCAR: u32 = 0xE000_EF38;
-const LSPACT: u32 = 1;
 
 /// First word of an extended frame below the initial stack.
 const FRAME: u32 = STACK - 0x68;
@@ -34,21 +31,16 @@ fn with_context(handler: &[u16]) -> Machine {
     machine.handler(16, HANDLERS, handler);
     machine.system_write(0xE000_E100, 3);
     for k in 0..32 {
-        machine.core.set_float_register(k, 0x100 + k as u32);
+        machine.set_s(k, 0x100 + k as u32);
     }
     machine.step(2);
-    assert_eq!(machine.core.control(), 4);
+    assert!(machine.core.state.float_active);
     machine
-}
-
-fn interrupt(machine: &mut Machine, irq: usize) {
-    machine.bus.system.set_line(irq, true);
-    machine.bus.system.set_line(irq, false);
 }
 
 fn assert_context(machine: &Machine) {
     for k in 0..32 {
-        assert_eq!(machine.core.float_register(k), 0x100 + k as u32, "s{k}");
+        assert_eq!(machine.s(k), 0x100 + k as u32, "s{k}");
     }
 }
 
@@ -56,57 +48,38 @@ fn assert_context(machine: &Machine) {
 fn lazy_entry_reserves_the_frame_and_writes_nothing() {
     let mut machine = with_context(NO_FLOAT);
     machine.set_word(FRAME + 0x20, 0xDEAD);
-    interrupt(&mut machine, 0);
+    machine.interrupt(0);
     machine.step(1);
     assert_eq!((machine.r(13), machine.r(14)), (FRAME, 0xFFFF_FFE9));
-    assert_eq!(machine.system_read(FPCAR), FRAME + 0x20);
-    // LSPACT, the thread's context, HardFault could be taken; the two enable bits.
-    assert_eq!(machine.system_read(FPCCR), 0xC000_0000 | LSPACT | 1 << 3 | 1 << 4);
-    assert_eq!(machine.core.control(), 0);
+    assert_eq!(machine.core.state.lazy_frame, Some(FRAME + 0x20));
+    assert!(!machine.core.state.float_active);
     machine.finish();
     assert_eq!(machine.word(FRAME + 0x20), 0xDEAD);
-    assert_eq!(machine.system_read(FPCCR) & LSPACT, 0);
-    assert_eq!((machine.r(13), machine.core.control()), (STACK, 4));
+    assert_eq!(machine.core.state.lazy_frame, None);
+    assert_eq!((machine.r(13), machine.core.state.float_active), (STACK, true));
     assert_context(&machine);
-}
-
-#[test]
-fn reservation_records_which_faults_are_possible() {
-    // Masking instruction, HFRDY and BFRDY in the FPCCR.
-    let cases = [(0xBF00, 1 << 6 | 1 << 4), (0xB672, 1 << 4), (0xB671, 0)]; // nop; cpsid i; cpsid f
-    for (mask, ready) in cases {
-        let mut machine = with_context(NO_FLOAT);
-        machine.handler(2, HANDLERS + 0x40, NO_FLOAT);
-        machine.system_write(0xE000_ED24, 1 << 17);
-        machine.place(PROGRAM + 6, &[mask]);
-        machine.step(1);
-        machine.bus.system.pend_nmi();
-        machine.step(1);
-        let control = machine.system_read(FPCCR);
-        assert_eq!(control, 0xC000_0000 | LSPACT | 1 << 3 | ready, "{mask:#x}");
-    }
 }
 
 #[test]
 fn first_float_instruction_of_the_handler_preserves_the_context() {
     let mut machine = with_context(USES_FLOAT);
-    machine.core.set_fpscr(0x2000_0000);
-    interrupt(&mut machine, 0);
+    machine.core.state.fpscr = 0x2000_0000;
+    machine.interrupt(0);
     machine.step(1);
-    assert_eq!(machine.system_read(FPCCR) & LSPACT, 0);
+    assert_eq!(machine.core.state.lazy_frame, None);
     let saved: Vec<u32> = (0..17).map(|k| machine.word(FRAME + 0x20 + 4 * k)).collect();
     assert_eq!(saved[..16], (0x100..0x110).collect::<Vec<u32>>());
-    assert_eq!((saved[16], machine.core.control()), (0x2000_0000, 4));
-    assert_eq!(machine.core.float_register(0), 0x103);
+    assert_eq!((saved[16], machine.core.state.float_active), (0x2000_0000, true));
+    assert_eq!(machine.s(0), 0x103);
     machine.finish();
     assert_context(&machine);
-    assert_eq!(machine.core.fpscr(), 0x2000_0000);
+    assert_eq!(machine.core.state.fpscr, 0x2000_0000);
 }
 
 #[test]
 fn preservation_takes_17_cycles_once() {
     let mut machine = with_context(USES_FLOAT);
-    interrupt(&mut machine, 0);
+    machine.interrupt(0);
     let start = machine.bus.time;
     machine.step(1);
     assert_eq!(machine.bus.time - start, 12 + 17 + 1);
@@ -120,9 +93,9 @@ fn nested_handler_preserves_the_interrupted_context() {
     let mut machine = with_context(NO_FLOAT);
     machine.handler(17, HANDLERS + 0x40, USES_FLOAT);
     machine.system_write(0xE000_E400, 0x0080);
-    interrupt(&mut machine, 0);
+    machine.interrupt(0);
     machine.step(1);
-    interrupt(&mut machine, 1);
+    machine.interrupt(1);
     machine.step(1);
     // The frame of the second is basic; the registers went into the first.
     assert_eq!((machine.r(14), machine.r(13)), (0xFFFF_FFF1, FRAME - 32));
@@ -136,31 +109,16 @@ fn both_nested_handlers_keep_their_own_contexts() {
     let mut machine = with_context(USES_FLOAT);
     machine.handler(17, HANDLERS + 0x40, USES_FLOAT);
     machine.system_write(0xE000_E400, 0x0080);
-    interrupt(&mut machine, 0);
+    machine.interrupt(0);
     machine.step(1);
-    machine.core.set_float_register(4, 0x777);
-    interrupt(&mut machine, 1);
+    machine.set_s(4, 0x777);
+    machine.interrupt(1);
     machine.step(1);
     assert_eq!((machine.r(14), machine.r(13)), (0xFFFF_FFE1, FRAME - 0x68));
     assert_eq!(machine.word(FRAME - 0x68 + 0x20 + 16), 0x777);
-    machine.core.set_float_register(4, 0x888);
+    machine.set_s(4, 0x888);
     machine.step(2);
-    assert_eq!((machine.core.current_exception(), machine.core.float_register(4)), (16, 0x777));
-    machine.finish();
-    assert_context(&machine);
-}
-
-#[test]
-fn immediate_stacking_writes_the_frame_at_the_entry() {
-    let mut machine = with_context(NO_FLOAT);
-    machine.system_write(FPCCR, 0x8000_0000);
-    interrupt(&mut machine, 0);
-    let start = machine.bus.time;
-    machine.step(1);
-    assert_eq!(machine.bus.time - start, 12 + 17 + 1);
-    assert_eq!(machine.word(FRAME + 0x20 + 60), 0x10F);
-    assert_eq!(machine.system_read(FPCCR), 0x8000_0000);
-    machine.core.set_float_register(3, 0);
+    assert_eq!((machine.core.current_exception(), machine.s(4)), (16, 0x777));
     machine.finish();
     assert_context(&machine);
 }
@@ -170,20 +128,12 @@ fn without_a_context_the_frame_is_basic() {
     let mut machine = Machine::with_float(&[0xBF00]); // nop
     machine.handler(16, HANDLERS, USES_FLOAT);
     machine.system_write(0xE000_E100, 1);
-    interrupt(&mut machine, 0);
+    machine.interrupt(0);
     machine.step(1);
     assert_eq!((machine.r(13), machine.r(14)), (STACK - 32, 0xFFFF_FFF9));
-    assert_eq!(machine.core.control(), 4);
+    assert!(machine.core.state.float_active);
     machine.finish();
-    assert_eq!(machine.core.control(), 0);
-}
-
-#[test]
-fn automatic_state_disabled_leaves_fpca_clear() {
-    let mut machine = Machine::with_float(&[0xEEB0, 0x0A40]); // vmov.f32 s0, s0
-    machine.system_write(FPCCR, 0);
-    machine.step(1);
-    assert_eq!(machine.core.control(), 0);
+    assert!(!machine.core.state.float_active);
 }
 
 #[test]
@@ -194,28 +144,26 @@ fn closing_the_coprocessor_denies_the_next_instruction() {
         0xEEB0, 0x0A40, // vmov.f32 s0, s0
     ]);
     machine.handler(3, HANDLERS, &[END]);
-    machine.core.set_register(0, 0xE000_ED88);
+    machine.set_r(0, 0xE000_ED88);
     machine.finish();
     assert_eq!(machine.core.current_exception(), 3);
-    assert_eq!(machine.bus.system.cfsr(), status::NO_COPROCESSOR);
+    assert_eq!(machine.cfsr(), status::NO_COPROCESSOR);
 }
 
 #[test]
 fn lazy_state_that_cannot_be_written_is_a_fault() {
     let mut machine = with_context(NO_FLOAT);
-    machine.handler(5, HANDLERS + 0x40, &[END]);
+    machine.handler(3, HANDLERS + 0x40, &[END]);
     machine.place(HANDLERS + 2, USES_FLOAT);
-    machine.system_write(0xE000_ED24, 1 << 17);
-    machine.system_write(0xE000_E400, 0x80);
-    interrupt(&mut machine, 0);
+    machine.interrupt(0);
     machine.step(1);
     // Before the first use in the handler the address becomes that of no memory.
-    machine.system_write(FPCAR, SRAM - 0x100);
+    machine.core.state.lazy_frame = Some(SRAM - 0x100);
     machine.finish();
-    assert_eq!(machine.core.current_exception(), 5);
-    assert_eq!(machine.bus.system.cfsr(), status::LAZY_STACKING);
+    assert_eq!(machine.core.current_exception(), 3);
+    assert_eq!(machine.cfsr(), status::LAZY_STACKING);
     // The instruction is to be executed again, and the state is still to be preserved.
     let frame = machine.r(13);
     assert_eq!(machine.word(frame + 24), HANDLERS + 2);
-    assert_eq!(machine.system_read(FPCCR) & LSPACT, LSPACT);
+    assert!(machine.core.state.lazy_frame.is_some());
 }

@@ -1,11 +1,11 @@
 //! WFE, WFI, SEV and what ends a sleep.
 
+use crate::core::state::Sleep;
 use crate::core::tests::{Machine, PROGRAM, Pause};
 
 const HANDLER: u32 = PROGRAM + 0x400;
 const WFE: u16 = 0xBF20;
 const WFI: u16 = 0xBF30;
-const SCR: u32 = 0xE000_ED10;
 
 /// A machine with interrupt 0 enabled at priority 0x40; its handler counts in r5.
 fn machine(program: &[u16]) -> Machine {
@@ -20,11 +20,10 @@ fn machine(program: &[u16]) -> Machine {
 fn wfe_sleeps_until_an_interrupt_was_handled() {
     let mut machine = machine(&[WFE, 0x2101]); // wfe; movs r1, #1
     machine.sleep();
-    assert!(machine.core.is_asleep());
+    assert_eq!(machine.core.state.sleep, Sleep::Event);
     assert_eq!((machine.core.pc(), machine.bus.time), (PROGRAM + 2, 1));
     machine.sleep();
-    machine.bus.system.set_line(0, true);
-    machine.bus.system.set_line(0, false);
+    machine.interrupt(0);
     machine.finish();
     assert_eq!((machine.r(5), machine.r(1)), (1, 1));
 }
@@ -45,38 +44,19 @@ fn wfe_continues_with_the_event_register_set() {
 #[test]
 fn exception_sets_the_event_register() {
     let mut machine = machine(&[0xBF00, WFE, WFE]); // nop; wfe; wfe
-    machine.bus.system.set_line(0, true);
-    machine.bus.system.set_line(0, false);
+    machine.interrupt(0);
     machine.sleep();
     // The first WFE found the event of the handler.
     assert_eq!((machine.r(5), machine.core.pc()), (1, PROGRAM + 6));
 }
 
 #[test]
-fn wfe_ignores_masked_interrupts_without_sevonpend() {
+fn wfe_ignores_masked_interrupts() {
     let mut machine = machine(&[0xB672, WFE]); // cpsid i; wfe
     machine.sleep();
     machine.bus.system.set_line(0, true);
     machine.sleep();
-    assert!(machine.core.is_asleep());
-}
-
-#[test]
-fn sevonpend_wakes_by_an_interrupt_that_is_disabled() {
-    let mut machine = machine(&[WFE]);
-    machine.system_write(SCR, 1 << 4);
-    machine.sleep();
-    machine.bus.system.set_line(7, true);
-    machine.finish();
-    // An interrupt that is already pending is no event.
-    let mut machine = self::machine(&[WFE, WFE]);
-    machine.system_write(SCR, 1 << 4);
-    machine.bus.system.set_line(7, true);
-    machine.sleep();
-    assert_eq!(machine.core.pc(), PROGRAM + 4);
-    machine.bus.system.set_line(7, false);
-    machine.bus.system.set_line(7, true);
-    machine.sleep();
+    assert_eq!(machine.core.state.sleep, Sleep::Event);
 }
 
 #[test]
@@ -88,10 +68,9 @@ fn wfi_wakes_under_primask_and_takes_the_interrupt_later() {
         0xBF00, // nop
     ]);
     machine.sleep();
-    machine.bus.system.set_line(0, true);
-    machine.bus.system.set_line(0, false);
+    machine.interrupt(0);
     machine.step(1);
-    assert_eq!((machine.r(1), machine.r(5), machine.core.is_asleep()), (1, 0, false));
+    assert_eq!((machine.r(1), machine.r(5), machine.core.state.sleep), (1, 0, Sleep::Awake));
     machine.finish();
     assert_eq!(machine.r(5), 1);
 }
@@ -119,20 +98,6 @@ fn wfi_with_a_pending_interrupt_does_not_sleep() {
     machine.bus.system.set_line(0, true);
     machine.finish();
     assert_eq!((machine.r(5), machine.bus.time), (0, 3));
-}
-
-#[test]
-fn sleeponexit_sleeps_after_the_last_handler() {
-    let mut machine = machine(&[0xBF00, 0x2101]); // nop; movs r1, #1
-    machine.system_write(SCR, 1 << 1);
-    machine.bus.system.set_line(0, true);
-    machine.bus.system.set_line(0, false);
-    machine.sleep();
-    assert_eq!((machine.r(5), machine.r(1), machine.core.current_exception()), (1, 0, 0));
-    machine.bus.system.set_line(0, true);
-    machine.bus.system.set_line(0, false);
-    machine.sleep();
-    assert_eq!(machine.r(5), 2);
 }
 
 #[test]

@@ -7,11 +7,11 @@ fn cycles(program: &[u16]) -> [u64; 3] {
     [CycleModel::FAST, CycleModel::TYPICAL, CycleModel::SLOW].map(|model| {
         let mut machine = Machine::with_model(program, model);
         machine.system_write(0xE000_ED88, 0x00F0_0000);
-        machine.core.set_register(1, DATA);
-        machine.core.set_register(2, FLASH);
-        machine.core.set_register(3, 3);
+        machine.set_r(1, DATA);
+        machine.set_r(2, FLASH);
+        machine.set_r(3, 3);
         machine.finish();
-        assert_eq!(machine.core.cycles(), machine.bus.time);
+        assert_eq!(machine.core.state.cycles, machine.bus.time);
         // Without the BKPT.
         machine.bus.time - 1
     })
@@ -59,7 +59,7 @@ fn branch_to_ram_does_not_wait() {
     for (address, wait) in [(CCM, 0), (PROGRAM + 0x100, 4)] {
         let mut machine = Machine::with_model(&[0x4700], CycleModel::SLOW); // bx r0
         machine.place(address, &[END]);
-        machine.core.set_register(0, address | 1);
+        machine.set_r(0, address | 1);
         machine.finish();
         assert_eq!(machine.bus.time, 1 + 3 + wait + 1);
     }
@@ -68,9 +68,11 @@ fn branch_to_ram_does_not_wait() {
 #[test]
 fn exception_entry_takes_12_and_return_10_cycles() {
     for (model, wait) in [(CycleModel::FAST, 0), (CycleModel::SLOW, 4)] {
-        let mut machine = Machine::with_model(&[0xDF00], model); // svc 0
-        machine.handler(11, PROGRAM + 0x400, &[0xBF00, 0x4770]); // nop; bx lr
+        let mut machine = Machine::with_model(&[0xBF00], model); // nop
+        machine.handler(16, PROGRAM + 0x400, &[0xBF00, 0x4770]); // nop; bx lr
+        machine.system_write(0xE000_E100, 1);
+        machine.interrupt(0);
         machine.finish();
-        assert_eq!(machine.bus.time, 1 + 12 + wait + 1 + 1 + 10 + wait + 1);
+        assert_eq!(machine.bus.time, 12 + wait + 1 + 1 + 10 + wait + 1 + 1);
     }
 }
