@@ -5,12 +5,13 @@ use std::fmt;
 
 use crate::core::system_control::{FIRST_INTERRUPT, HARD_FAULT, NMI};
 use crate::core::{Core, CycleModel, Pause, Statistics, Stop};
+use crate::devices::Devices;
 use crate::image::Image;
 use crate::log::{Log, LogLine};
 use crate::peripherals::clocks::ResetCause;
 use crate::peripherals::watchdog::Feeds;
 use crate::registers::interrupt_name;
-use crate::soc::{Devices, Options, Soc};
+use crate::soc::{Options, Soc};
 use crate::time::{Frequency, Time};
 
 /// How often the log is read: its buffer in the chip holds a kilobyte.

@@ -6,6 +6,31 @@ use std::rc::Rc;
 
 use crate::time::Time;
 
+/// Everything outside of the chip. Clones are the same devices.
+#[derive(Clone)]
+pub struct Devices {
+    /// Both sensor buses.
+    pub sensor_buses: [Rc<RefCell<dyn I2cBus>>; 2],
+    /// The rotor's angle sensor, then the inertial sensor.
+    pub spi: [Rc<RefCell<dyn SpiDevice>>; 2],
+    /// Half bridges and what is measured at them.
+    pub drivetrain: Rc<RefCell<dyn Drivetrain>>,
+    /// The CAN bus.
+    pub can: Rc<RefCell<dyn CanBus>>,
+    /// The serial line.
+    pub serial: Rc<RefCell<dyn SerialLine>>,
+}
+
+impl Devices {
+    /// A sensor bus, or one without devices where a peripheral is at none.
+    pub(crate) fn sensor_bus(&self, place: Option<usize>) -> Rc<RefCell<dyn I2cBus>> {
+        match place {
+            Some(place) => self.sensor_buses[place].clone(),
+            None => Rc::new(RefCell::new(EmptyI2cBus)),
+        }
+    }
+}
+
 /// Devices on an I2C bus, byte by byte, and the levels of its lines.
 pub trait I2cBus {
     /// A start or repeated start with an address of seven bits; true where a device acknowledges it.
@@ -29,8 +54,7 @@ pub trait I2cBus {
 }
 
 /// No device: nothing acknowledges, both lines are pulled up.
-#[derive(Clone)]
-pub struct EmptyI2cBus;
+struct EmptyI2cBus;
 
 impl I2cBus for EmptyI2cBus {
     fn address(&mut self, _: Time, _: u8, _: bool) -> bool {
@@ -167,70 +191,4 @@ pub trait SerialLine {
 
     /// Bits per second of the other end.
     fn baud_rate(&self) -> u32;
-}
-
-impl<T: I2cBus> I2cBus for Rc<RefCell<T>> {
-    fn address(&mut self, time: Time, address: u8, is_read: bool) -> bool {
-        self.borrow_mut().address(time, address, is_read)
-    }
-
-    fn write(&mut self, byte: u8) -> bool {
-        self.borrow_mut().write(byte)
-    }
-
-    fn read(&mut self) -> u8 {
-        self.borrow_mut().read()
-    }
-
-    fn stop(&mut self) {
-        self.borrow_mut().stop();
-    }
-
-    fn released(&self, time: Time) -> [bool; 2] {
-        self.borrow().released(time)
-    }
-
-    fn pulse(&mut self) {
-        self.borrow_mut().pulse();
-    }
-}
-
-impl<T: CanBus> CanBus for Rc<RefCell<T>> {
-    fn offer(&mut self, time: Time, frame: Option<CanFrame>) {
-        self.borrow_mut().offer(time, frame);
-    }
-
-    fn is_sending(&self) -> bool {
-        self.borrow().is_sending()
-    }
-
-    fn next_event(&self) -> Time {
-        self.borrow().next_event()
-    }
-
-    fn take_event(&mut self, time: Time) -> Option<CanEvent> {
-        self.borrow_mut().take_event(time)
-    }
-
-    fn bit_time(&self) -> Time {
-        self.borrow().bit_time()
-    }
-}
-
-impl<T: SerialLine> SerialLine for Rc<RefCell<T>> {
-    fn receive(&mut self, time: Time, byte: u8) {
-        self.borrow_mut().receive(time, byte);
-    }
-
-    fn next_byte(&self) -> Time {
-        self.borrow().next_byte()
-    }
-
-    fn transmit(&mut self, time: Time) -> Option<u8> {
-        self.borrow_mut().transmit(time)
-    }
-
-    fn baud_rate(&self) -> u32 {
-        self.borrow().baud_rate()
-    }
 }

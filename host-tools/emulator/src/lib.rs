@@ -37,10 +37,11 @@ pub mod wiring;
 
 pub use chip::{Chip, Halt, Load, Profile, ResetRecord};
 pub use core::CycleModel;
+pub use devices::Devices;
 pub use image::{Image, ImageError};
 pub use log::LogLine;
 pub use peripherals::clocks::ResetCause;
-pub use soc::{Devices, Options, Soc, TEMPERATURE_CALIBRATION, UnseenFrames};
+pub use soc::{Options, Soc, TEMPERATURE_CALIBRATION, UnseenFrames};
 pub use time::{Frequency, Time};
 pub use violations::{Kind, Violation};
 pub use wiring::Wiring;

@@ -4,7 +4,7 @@
 use std::ops::Range;
 
 use crate::core::{Bus, BusError, SystemControl, Width};
-use crate::devices::{CanBus, Drivetrain, EmptyI2cBus, I2cBus, SerialLine, SpiDevice};
+use crate::devices::Devices;
 use crate::mpu::Mpu;
 use crate::peripherals::Context;
 use crate::peripherals::adc::{self, Adc, Inputs, Trigger};
@@ -143,20 +143,6 @@ struct Interrupts {
     flash: usize,
 }
 
-/// Everything outside of the chip.
-pub struct Devices {
-    /// Both sensor buses.
-    pub sensor_buses: [Box<dyn I2cBus>; 2],
-    /// The rotor's angle sensor, then the inertial sensor.
-    pub spi: [Box<dyn SpiDevice>; 2],
-    /// Half bridges and what is measured at them.
-    pub drivetrain: Box<dyn Drivetrain>,
-    /// The CAN bus.
-    pub can: Box<dyn CanBus>,
-    /// The serial line.
-    pub serial: Box<dyn SerialLine>,
-}
-
 /// What varies from board to board, and with the model of time.
 #[derive(Clone, Debug)]
 pub struct Options {
@@ -183,6 +169,7 @@ pub struct UnseenFrames {
 }
 
 /// The chip without its core.
+#[derive(Clone)]
 pub struct Soc {
     /// Time since power-on.
     now: Time,
@@ -227,7 +214,6 @@ pub struct Soc {
     interrupts: Interrupts,
     /// Sensor bus that each I2C peripheral is connected to.
     buses: [Option<usize>; 3],
-    empty: EmptyI2cBus,
     modified: Option<Range<u32>>,
     reset: Option<ResetCause>,
     /// Level of the gate drivers' output.
@@ -355,7 +341,6 @@ impl Soc {
             requests: requests(),
             interrupts,
             buses: [None; 3],
-            empty: EmptyI2cBus,
             modified: None,
             reset: None,
             gate_fault: false,
@@ -372,52 +357,7 @@ impl Soc {
 
     /// A copy in its present state, with other devices.
     pub(crate) fn copy(&self, devices: Devices) -> Self {
-        Self {
-            now: self.now,
-            next: self.next,
-            pause_at: self.pause_at,
-            end: self.end,
-            cycle: self.cycle,
-            system: self.system.clone(),
-            sram: self.sram.clone(),
-            ccm: self.ccm.clone(),
-            flash: self.flash.clone(),
-            rcc: self.rcc.clone(),
-            pwr: self.pwr.clone(),
-            syscfg: self.syscfg.clone(),
-            dbgmcu: self.dbgmcu.clone(),
-            mpu: self.mpu.clone(),
-            exti: self.exti.clone(),
-            gpio: self.gpio.clone(),
-            dma: self.dma.clone(),
-            tim5: self.tim5.clone(),
-            tim1: self.tim1.clone(),
-            iwdg: self.iwdg.clone(),
-            i2c: self.i2c.clone(),
-            usart: self.usart.clone(),
-            fdcan: self.fdcan.clone(),
-            adc: self.adc.clone(),
-            slow_adcs: self.slow_adcs.clone(),
-            spi: self.spi.clone(),
-            rng: self.rng.clone(),
-            devices,
-            violations: self.violations.clone(),
-            options: self.options.clone(),
-            entries: self.entries.clone(),
-            map: self.map.clone(),
-            requests: self.requests,
-            interrupts: self.interrupts.clone(),
-            buses: self.buses,
-            empty: EmptyI2cBus,
-            modified: self.modified.clone(),
-            reset: self.reset,
-            gate_fault: self.gate_fault,
-            is_break_wire_open: self.is_break_wire_open,
-            has_motor_trigger: self.has_motor_trigger,
-            untouched: self.untouched,
-            encoder_edge: self.encoder_edge,
-            functions: self.functions.clone(),
-        }
+        Self { devices, ..self.clone() }
     }
 
     /// Registers take their reset values, memories hold what they happen to.
@@ -724,27 +664,28 @@ impl Soc {
             } else if self.tim1.next_event() <= due {
                 self.advance_motor();
             } else if self.adc.next_event() <= due {
-                self.adc.advance(due, &mut *self.devices.drivetrain);
+                self.adc.advance(due, &mut *self.devices.drivetrain.borrow_mut());
                 self.refresh(Block::Adc12);
             } else if let Some(adc) = self.slow_adcs.iter_mut().find(|adc| adc.next_event() <= due)
             {
-                adc.advance(due, &mut *self.devices.drivetrain);
+                adc.advance(due, &mut *self.devices.drivetrain.borrow_mut());
             } else if let Some(number) = (0..2).find(|number| self.spi[*number].next_event() <= due)
             {
-                self.spi[number].advance(due, &mut *self.devices.spi[number]);
+                self.spi[number].advance(due, &mut *self.devices.spi[number].borrow_mut());
                 self.refresh(Block::Spi(number));
             } else if let Some(number) = (0..3).find(|number| self.i2c[*number].next_event() <= due)
             {
-                let bus = bus(&mut self.devices, &mut self.empty, self.buses[number]);
-                self.i2c[number].advance(due, self.options.i2c_delay, bus);
+                let bus = self.devices.sensor_bus(self.buses[number]);
+                self.i2c[number].advance(due, self.options.i2c_delay, &mut *bus.borrow_mut());
                 self.refresh(Block::I2c(number));
-            } else if self.usart.next_event(&*self.devices.serial) <= due {
+            } else if self.usart.next_event(&*self.devices.serial.borrow()) <= due {
                 let usart_base = base_of(&self.entries, Block::Usart);
-                self.usart.advance(&mut *self.devices.serial, context!(self, usart_base));
+                self.usart
+                    .advance(&mut *self.devices.serial.borrow_mut(), context!(self, usart_base));
                 self.refresh(Block::Usart);
-            } else if self.fdcan.next_event(&*self.devices.can) <= due {
+            } else if self.fdcan.next_event(&*self.devices.can.borrow()) <= due {
                 let fdcan_base = base_of(&self.entries, Block::Fdcan);
-                self.fdcan.advance(&mut *self.devices.can, context!(self, fdcan_base));
+                self.fdcan.advance(&mut *self.devices.can.borrow_mut(), context!(self, fdcan_base));
                 self.refresh(Block::Fdcan);
             } else if self.flash.next_event() <= due {
                 if let Some(range) = self.flash.advance(due) {
@@ -775,7 +716,7 @@ impl Soc {
             }
             Some(Moment::Trigger) | None => {}
             Some(moment @ (Moment::Top | Moment::Bottom)) => {
-                self.devices.drivetrain.half_period(half, duties);
+                self.devices.drivetrain.borrow_mut().half_period(half, duties);
                 if moment == Moment::Bottom && self.tim1.triggers_on_update() {
                     let adc_base = base_of(&self.entries, Block::Adc345);
                     for adc in &mut self.slow_adcs {
@@ -828,8 +769,8 @@ impl Soc {
             first,
             second,
             third,
-            self.usart.next_event(&*self.devices.serial),
-            self.fdcan.next_event(&*self.devices.can),
+            self.usart.next_event(&*self.devices.serial.borrow()),
+            self.fdcan.next_event(&*self.devices.can.borrow()),
             self.flash.next_event(),
             rng,
             self.iwdg.next_event(),
@@ -1022,15 +963,16 @@ impl Soc {
                 for (bus, pins) in
                     self.devices.sensor_buses.iter().zip(self.options.wiring.sensor_buses)
                 {
-                    for (pin, is_released) in pins.into_iter().zip(bus.released(self.now)) {
+                    for (pin, is_released) in pins.into_iter().zip(bus.borrow().released(self.now))
+                    {
                         self.gpio[pin.port].drive_externally(pin.number, Some(is_released));
                     }
                 }
                 self.gpio[port].read(offset, context)
             }
             Block::I2c(number) => {
-                let bus = bus(&mut self.devices, &mut self.empty, self.buses[number]);
-                self.i2c[number].read(offset, self.options.i2c_delay, bus, context)
+                let bus = self.devices.sensor_bus(self.buses[number]);
+                self.i2c[number].read(offset, self.options.i2c_delay, &*bus.borrow(), context)
             }
             Block::Iwdg => self.iwdg.read(offset, context),
             Block::Pwr => self.pwr.read(offset, context),
@@ -1082,7 +1024,7 @@ impl Soc {
                     ((converter, offset), adcs) => match adcs.get_mut(converter) {
                         Some(adc) => adc.write(offset, value, has_pins, context),
                         None => {
-                            context.unmodelled(offset);
+                            context.unmodelled_write(offset);
                         }
                     },
                 }
@@ -1102,10 +1044,10 @@ impl Soc {
             Block::Exti => self.exti.write(offset, value, context),
             Block::Fdcan => {
                 let has_pins = has(&functions.can);
-                let is_sending = self.devices.can.is_sending();
+                let is_sending = self.devices.can.borrow().is_sending();
                 self.fdcan.write(offset, value, [has_pins, is_sending], context);
-                self.fdcan.check_timing(&*self.devices.can, context);
-                self.fdcan.offer(&mut *self.devices.can, self.now);
+                self.fdcan.check_timing(&*self.devices.can.borrow(), context);
+                self.fdcan.offer(&mut *self.devices.can.borrow_mut(), self.now);
             }
             Block::FdcanRam => self.fdcan.write_ram(offset, value, width, context),
             Block::Flash => self.flash.write_register(offset, value, context),
@@ -1265,15 +1207,15 @@ impl Soc {
                     }
                     self.encoder_edge = self.now;
                 }
-                self.devices.spi[number].select(self.now, !is_high);
+                self.devices.spi[number].borrow_mut().select(self.now, !is_high);
             }
         }
         for ((bus, before), after) in
-            self.devices.sensor_buses.iter_mut().zip(clocks_before).zip(clocks_after)
+            self.devices.sensor_buses.iter().zip(clocks_before).zip(clocks_after)
         {
             // Let go, the clock line rises by its pull-up.
             if before == Some(false) && after != Some(false) {
-                bus.pulse();
+                bus.borrow_mut().pulse();
             }
         }
         let changed = all_before ^ self.port_levels(port);
@@ -1578,17 +1520,6 @@ fn requests() -> [Option<Request>; 128] {
         }
     }
     requests
-}
-
-fn bus<'d>(
-    devices: &'d mut Devices,
-    empty: &'d mut EmptyI2cBus,
-    place: Option<usize>,
-) -> &'d mut dyn I2cBus {
-    match place {
-        Some(place) => &mut *devices.sensor_buses[place],
-        None => empty,
-    }
 }
 
 /// RAM contents at power-on (pseudo-random).

@@ -4,7 +4,7 @@
 use stm32_metapac::adc::regs::{Cr, Jsqr};
 
 use crate::devices::Drivetrain;
-use crate::peripherals::{Context, bit};
+use crate::peripherals::{Context, Words, bit};
 use crate::registers::registers;
 use crate::time::{Frequency, Time};
 use crate::violations::Kind;
@@ -80,7 +80,7 @@ pub(crate) enum Inputs {
 /// The peripheral.
 #[derive(Clone)]
 pub struct Adc {
-    words: [u32; WORDS],
+    words: Words<WORDS>,
     common: u32,
     /// Stable since it was switched on. The flag says so once; software clears it.
     is_ready: bool,
@@ -101,11 +101,8 @@ pub struct Adc {
 
 impl Adc {
     pub(crate) fn new(inputs: Inputs) -> Self {
-        let mut words = [0; WORDS];
-        words[CR as usize / 4] = 0x2000_0000;
-        words[CFGR as usize / 4] = 0x8000_0000;
         Self {
-            words,
+            words: Words::new(&[(CR, 0x2000_0000), (CFGR, 0x8000_0000)]),
             common: 0,
             is_ready: false,
             work: None,
@@ -124,14 +121,6 @@ impl Adc {
         *self = Self { missed: self.missed, overwritten: self.overwritten, ..Self::new(inputs) };
     }
 
-    fn word(&self, offset: u32) -> u32 {
-        self.words[offset as usize / 4]
-    }
-
-    fn word_mut(&mut self, offset: u32) -> &mut u32 {
-        &mut self.words[offset as usize / 4]
-    }
-
     fn clock(&self, context: &Context) -> Frequency {
         match self.inputs {
             Inputs::Motor(_) => context.clocks.adc12,
@@ -142,7 +131,7 @@ impl Adc {
     /// Half cycles from the beginning of a channel's conversion to its end.
     fn conversion(&self, channel: u32) -> u64 {
         let register = if channel < 10 { SMPR } else { SMPR2 };
-        SAMPLING[(self.word(register) >> (3 * (channel % 10)) & 7) as usize] + CONVERSION
+        SAMPLING[(self.words[register] >> (3 * (channel % 10)) & 7) as usize] + CONVERSION
     }
 
     /// So many half cycles of the converter's clock (21.4.3, ADC_CCR).
@@ -192,8 +181,8 @@ impl Adc {
 
     /// Injected channels in the order of their conversions.
     fn injected(&self) -> Vec<u32> {
-        let ranks = 0..=u32::from(Jsqr(self.word(JSQR)).jl());
-        ranks.map(|rank| self.word(JSQR) >> (9 + 6 * rank) & 0x1F).collect()
+        let ranks = 0..=u32::from(Jsqr(self.words[JSQR]).jl());
+        ranks.map(|rank| self.words[JSQR] >> (9 + 6 * rank) & 0x1F).collect()
     }
 
     /// Number of the phase that a channel measures, U to W.
@@ -204,8 +193,8 @@ impl Adc {
 
     /// A trigger of the timer; true where a sequence begins.
     pub(crate) fn trigger(&mut self, trigger: Trigger, context: &mut Context) -> bool {
-        let jsqr = Jsqr(self.word(JSQR));
-        let cr = Cr(self.word(CR));
+        let jsqr = Jsqr(self.words[JSQR]);
+        let cr = Cr(self.words[CR]);
         if !cr.aden()
             || !cr.jadstart()
             || jsqr.jexten().to_bits() != RISING
@@ -236,12 +225,12 @@ impl Adc {
         };
         match work {
             Work::Calibrate => {
-                *self.word_mut(CR) &= !CALIBRATE;
+                self.words[CR] &= !CALIBRATE;
                 self.converted = now;
             }
             Work::Stabilise => {
                 self.is_ready = true;
-                *self.word_mut(ISR) |= READY;
+                self.words[ISR] |= READY;
             }
             Work::Sample(ends) => {
                 if matches!(self.inputs, Inputs::Motor(_)) {
@@ -255,18 +244,18 @@ impl Adc {
                 for (rank, channel) in (0..).zip(self.injected()) {
                     let input = self.input(channel);
                     let counts = input.map_or(0, |input| self.sampled[input]);
-                    *self.word_mut(JDR0 + 4 * rank) = self.with_errors(counts, rank == 0);
+                    self.words[JDR0 + 4 * rank] = self.with_errors(counts, rank == 0);
                 }
-                self.overwritten += u64::from(self.word(ISR) & SEQUENCE != 0);
-                *self.word_mut(ISR) |= END | SEQUENCE;
+                self.overwritten += u64::from(self.words[ISR] & SEQUENCE != 0);
+                self.words[ISR] |= END | SEQUENCE;
                 self.end(now);
             }
             Work::Regular(channel) => {
                 let counts = drivetrain.temperatures();
                 let counts = self.input(channel).map_or(0, |input| counts[input]);
-                *self.word_mut(DR) = self.with_errors(counts, true);
-                *self.word_mut(ISR) |= REGULAR_END;
-                *self.word_mut(CR) &= !(1 << 2);
+                self.words[DR] = self.with_errors(counts, true);
+                self.words[ISR] |= REGULAR_END;
+                self.words[CR] &= !(1 << 2);
                 self.end(now);
             }
         }
@@ -288,23 +277,23 @@ impl Adc {
 
     /// Level of the interrupt.
     pub(crate) fn interrupt(&self) -> bool {
-        self.word(ISR) & self.word(IER) & ENABLED_INTERRUPTS != 0
+        self.words[ISR] & self.words[IER] & ENABLED_INTERRUPTS != 0
     }
 
     pub(crate) fn read(&mut self, offset: u32, context: &mut Context) -> u32 {
         match offset {
             DR => {
-                *self.word_mut(ISR) &= !(1 << 2);
-                self.word(DR)
+                self.words[ISR] &= !(1 << 2);
+                self.words[DR]
             }
             JDR0..=JDR3 => {
-                *self.word_mut(ISR) &= !END;
-                self.word(offset)
+                self.words[ISR] &= !END;
+                self.words[offset]
             }
             COMMON_CCR => self.common,
-            COMMON_CSR => self.word(ISR) & 0x7FF,
+            COMMON_CSR => self.words[ISR] & 0x7FF,
             ISR..=SMPR2 | SQR1..=SQR4 | JSQR | OFR0..=OFR3 | DIFSEL | CALFACT | GCOMP => {
-                self.word(offset)
+                self.words[offset]
             }
             _ => context.unmodelled(offset),
         }
@@ -312,26 +301,26 @@ impl Adc {
 
     /// `has_pins`: the inputs at pins are analog.
     pub(crate) fn write(&mut self, offset: u32, value: u32, has_pins: bool, context: &mut Context) {
-        let cr = Cr(self.word(CR));
+        let cr = Cr(self.words[CR]);
         let is_started = cr.adstart() || cr.jadstart();
         match offset {
-            ISR => *self.word_mut(ISR) &= !value,
+            ISR => self.words[ISR] &= !value,
             CR => self.write_cr(value, has_pins, context),
-            COMMON_CCR if cr.aden() && (value ^ self.common) & CLOCK_AND_MODE != 0 => context
-                .report(Kind::WriteProtected, offset, "the converters' clock while one is on"),
+            COMMON_CCR if cr.aden() && (value ^ self.common) & CLOCK_AND_MODE != 0 => {
+                context.write_protected(offset, "the converters' clock while one is on")
+            }
             COMMON_CCR => self.common = value,
             CFGR | CFGR2 | SMPR | SMPR2 | DIFSEL if is_started => {
-                context.report(Kind::WriteProtected, offset, "the configuration while it converts");
+                context.write_protected(offset, "the configuration while it converts")
             }
             CFGR => {
                 if value & 0x01E0_2003 != 0 {
-                    context.report(
-                        Kind::UnmodelledSetting,
+                    context.unmodelled_setting(
                         offset,
                         "DMA, continuous conversions, a queue, a watchdog",
                     );
                 }
-                *self.word_mut(CFGR) = value;
+                self.words[CFGR] = value;
             }
             IER
             | CFGR2
@@ -343,41 +332,38 @@ impl Adc {
             | DIFSEL
             | CALFACT
             | GCOMP => {
-                *self.word_mut(offset) = value;
+                self.words[offset] = value;
             }
-            _ => {
-                context.unmodelled(offset);
-            }
+            _ => context.unmodelled_write(offset),
         }
     }
 
     fn write_cr(&mut self, value: u32, has_pins: bool, context: &mut Context) {
-        let old = self.word(CR);
+        let old = self.words[CR];
         let is_on = bit(old, 0);
         let now = context.now;
         if value & CALIBRATE != 0 {
             if is_on || old & REGULATOR == 0 {
-                context.report(
-                    Kind::Misconfigured,
+                context.misconfigured(
                     CR,
                     "a calibration of a converter that is on, or without its regulator",
                 )
             } else {
-                *self.word_mut(CR) = value;
+                self.words[CR] = value;
                 self.work =
                     Some((now + self.half_cycles(2 * CALIBRATION, context), Work::Calibrate));
             }
             return;
         }
         if old & CALIBRATE != 0 {
-            context.report(Kind::WriteProtected, CR, "a command while it calibrates");
+            context.write_protected(CR, "a command while it calibrates");
             return;
         }
         // Enable, disable, start and stop are set by software and cleared by hardware.
         let mut next = value & 0x7000_0000 | old & 0xF;
         if bit(value, 0) && !is_on {
             if value & REGULATOR == 0 {
-                context.report(Kind::Misconfigured, CR, "switched on without its regulator");
+                context.misconfigured(CR, "switched on without its regulator");
             }
             next |= 1;
             self.work = Some((now + STABILISATION, Work::Stabilise));
@@ -386,16 +372,12 @@ impl Adc {
             next &= !0xF;
             self.work = None;
             self.is_ready = false;
-            *self.word_mut(ISR) &= !READY;
+            self.words[ISR] &= !READY;
         }
         for (start, stop) in [(2, 4), (3, 5)] {
             if bit(value, start) {
                 if !is_on || !self.is_ready {
-                    context.report(
-                        Kind::Misconfigured,
-                        CR,
-                        "conversions of a converter that is not ready",
-                    );
+                    context.misconfigured(CR, "conversions of a converter that is not ready");
                 }
                 next |= 1 << start;
             }
@@ -404,12 +386,12 @@ impl Adc {
             }
         }
         if bit(value, 2) {
-            let sequence = self.word(SQR1);
+            let sequence = self.words[SQR1];
             let channel = sequence >> 6 & 0x1F;
             let is_known = matches!(&self.inputs, Inputs::Temperatures(inputs)
                 if inputs.iter().any(|(known, _)| *known == channel));
             if sequence & 0xF != 0 || !is_known {
-                context.report(Kind::UnmodelledSetting, CR, "regular conversions of these inputs");
+                context.unmodelled_setting(CR, "regular conversions of these inputs");
             }
             let ends = now + self.half_cycles(self.conversion(channel), context);
             self.begin(ends, Work::Regular(channel), now);
@@ -417,6 +399,6 @@ impl Adc {
         if value & 0b1100 != 0 && !has_pins {
             context.report(Kind::PinNotConnected, CR, "an input of the converter is not analog");
         }
-        *self.word_mut(CR) = next;
+        self.words[CR] = next;
     }
 }

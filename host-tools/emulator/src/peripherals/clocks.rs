@@ -5,7 +5,7 @@ use std::fmt;
 
 use stm32_metapac::rcc::regs::{Bdcr, Ccipr, Cfgr, Cr, Crrcr, Csr, Pllcfgr};
 
-use crate::peripherals::{Context, bit};
+use crate::peripherals::{Context, Words, bit};
 use crate::registers::{RccBit, registers};
 use crate::time::{Frequency, Time};
 use crate::violations::Kind;
@@ -106,7 +106,7 @@ impl ResetCause {
 /// The peripheral.
 #[derive(Clone)]
 pub struct Rcc {
-    words: [u32; WORDS],
+    words: Words<WORDS>,
     /// When each oscillator is ready: HSI, HSE, PLL, HSI48, LSI.
     ready: [Time; 5],
     /// The crystal, if the board has one and it oscillates.
@@ -124,7 +124,7 @@ const OSCILLATORS: [(u32, u32); 5] = [(CR, 8), (CR, 16), (CR, 24), (CRRCR, 0), (
 impl Rcc {
     pub(crate) fn new(crystal: Frequency, lsi: Frequency) -> Self {
         let mut rcc = Self {
-            words: [0; WORDS],
+            words: Words::default(),
             ready: [Time::NEVER; 5],
             crystal,
             lsi,
@@ -154,28 +154,21 @@ impl Rcc {
     pub(crate) fn reset(&mut self, now: Time, cause: ResetCause) {
         let before = match cause {
             ResetCause::PowerOn => 0,
-            _ => self.word(CSR) & 0xFE00_0000,
+            _ => self.words[CSR] & 0xFE00_0000,
         };
-        self.words = [0; WORDS];
-        *self.word_mut(CR) = 0x0000_0500;
-        *self.word_mut(ICSCR) = 0x4000_0000;
-        *self.word_mut(CFGR) = 0x0000_0005;
-        *self.word_mut(PLLCFGR) = 0x0000_1000;
-        *self.word_mut(AHB1ENR) = 0x0000_0100;
-        *self.word_mut(APB1ENR1) = 0x0000_0400;
-        *self.word_mut(CSR) = before | cause.flags().0;
+        self.words = Words::new(&[
+            (CR, 0x0000_0500),
+            (ICSCR, 0x4000_0000),
+            (CFGR, 0x0000_0005),
+            (PLLCFGR, 0x0000_1000),
+            (AHB1ENR, 0x0000_0100),
+            (APB1ENR1, 0x0000_0400),
+            (CSR, before | cause.flags().0),
+        ]);
         self.ready = [Time::NEVER; 5];
         self.ready[0] = now;
         self.css_failed = false;
         self.derive();
-    }
-
-    fn word(&self, offset: u32) -> u32 {
-        self.words[offset as usize / 4]
-    }
-
-    fn word_mut(&mut self, offset: u32) -> &mut u32 {
-        &mut self.words[offset as usize / 4]
     }
 
     /// Frequencies now.
@@ -185,14 +178,14 @@ impl Rcc {
 
     /// Whether a gate or a reset is set.
     pub(crate) fn is_set(&self, place: RccBit) -> bool {
-        bit(self.word(place.offset), place.bit)
+        bit(self.words[place.offset], place.bit)
     }
 
     /// The watchdog switches its oscillator on (42.3.2).
     pub(crate) fn start_lsi(&mut self, now: Time) {
-        let mut csr = Csr(self.word(CSR));
+        let mut csr = Csr(self.words[CSR]);
         csr.set_lsion(true);
-        *self.word_mut(CSR) = csr.0;
+        self.words[CSR] = csr.0;
         self.ready[4] = self.ready[4].min(now + LSI_START);
     }
 
@@ -206,19 +199,19 @@ impl Rcc {
     /// is raised (7.2.9), once in this model; without it, a core that runs on it stops: true for the former.
     pub(crate) fn fail_crystal(&mut self) -> bool {
         self.crystal = Frequency(0);
-        let mut control = Cr(self.word(CR));
+        let mut control = Cr(self.words[CR]);
         let is_detected = control.csson() && control.hseon();
         if is_detected {
             control.set_hseon(false);
             control.set_hserdy(false);
-            if Pllcfgr(self.word(PLLCFGR)).pllsrc().to_bits() == 3 {
+            if Pllcfgr(self.words[PLLCFGR]).pllsrc().to_bits() == 3 {
                 control.set_pllon(false);
                 control.set_pllrdy(false);
             }
-            *self.word_mut(CR) = control.0;
-            let mut configuration = Cfgr(self.word(CFGR));
+            self.words[CR] = control.0;
+            let mut configuration = Cfgr(self.words[CFGR]);
             configuration.0 = configuration.0 & !0xF | 0b0101;
-            *self.word_mut(CFGR) = configuration.0;
+            self.words[CFGR] = configuration.0;
             self.css_failed = true;
         }
         self.derive();
@@ -229,7 +222,7 @@ impl Rcc {
         self.settle(context.now);
         match offset {
             CIFR => u32::from(self.css_failed) << 8,
-            CR..=CICR | AHB1RSTR..=CCIPR2 if offset as usize / 4 < WORDS => self.word(offset),
+            CR..=CICR | AHB1RSTR..=CCIPR2 if offset as usize / 4 < WORDS => self.words[offset],
             _ => context.unmodelled(offset),
         }
     }
@@ -238,9 +231,9 @@ impl Rcc {
     fn settle(&mut self, now: Time) {
         for ((offset, place), ready) in OSCILLATORS.into_iter().zip(self.ready) {
             let flag = if offset == CR { place + 1 + u32::from(place == 8) } else { place + 1 };
-            let is_on = bit(self.word(offset), place) && ready <= now;
+            let is_on = bit(self.words[offset], place) && ready <= now;
             let is_on = is_on && (place != 16 || self.crystal.0 > 0);
-            let word = self.word_mut(offset);
+            let word = &mut self.words[offset];
             *word = *word & !(1 << flag) | u32::from(is_on) << flag;
         }
     }
@@ -248,36 +241,32 @@ impl Rcc {
     pub(crate) fn write(&mut self, offset: u32, value: u32, context: &mut Context) {
         let now = context.now;
         self.settle(now);
-        let old = if offset as usize / 4 < WORDS { self.word(offset) } else { 0 };
+        let old = if offset as usize / 4 < WORDS { self.words[offset] } else { 0 };
         match offset {
             CR => {
                 // Ready flags are read only; the clock security system cannot be switched off by software.
                 const READY: u32 = 1 << 10 | 1 << 17 | 1 << 25;
-                *self.word_mut(CR) = value & !READY | old & (READY | 1 << 19);
+                self.words[CR] = value & !READY | old & (READY | 1 << 19);
             }
             CFGR => self.switch(value, context),
             PLLCFGR => {
-                if bit(self.word(CR), 24) {
-                    context.report(
-                        Kind::WriteProtected,
-                        offset,
-                        "the PLL is configured while it runs",
-                    );
+                if bit(self.words[CR], 24) {
+                    context.write_protected(offset, "the PLL is configured while it runs");
                 } else {
-                    *self.word_mut(PLLCFGR) = value;
+                    self.words[PLLCFGR] = value;
                 }
             }
             CICR => self.css_failed &= !bit(value, 8),
             CSR => {
                 let keeps = if bit(value, 23) { 0 } else { old & 0xFE00_0000 };
-                *self.word_mut(CSR) = value & 1 | old & 2 | keeps;
+                self.words[CSR] = value & 1 | old & 2 | keeps;
             }
-            CRRCR => *self.word_mut(CRRCR) = value & 1 | old & 2,
+            CRRCR => self.words[CRRCR] = value & 1 | old & 2,
             BDCR => {
                 if Bdcr(value).lseon() {
-                    context.report(Kind::UnmodelledSetting, offset, "the low-speed crystal");
+                    context.unmodelled_setting(offset, "the low-speed crystal");
                 }
-                *self.word_mut(BDCR) = value;
+                self.words[BDCR] = value;
             }
             CIFR => {}
             ICSCR
@@ -287,11 +276,9 @@ impl Rcc {
             | AHB1SMENR..=APB2SMENR
             | CCIPR
             | CCIPR2 => {
-                *self.word_mut(offset) = value;
+                self.words[offset] = value;
             }
-            _ => {
-                context.unmodelled(offset);
-            }
+            _ => context.unmodelled_write(offset),
         }
         for ((place, ready), start) in OSCILLATORS.into_iter().zip(&mut self.ready).zip([
             HSI_START,
@@ -301,7 +288,7 @@ impl Rcc {
             LSI_START,
         ]) {
             if place.0 == offset {
-                let is_on = bit(self.words[offset as usize / 4], place.1);
+                let is_on = bit(self.words[offset], place.1);
                 let was_on = bit(old, place.1);
                 *ready = match (was_on, is_on) {
                     (false, true) => now + start,
@@ -317,20 +304,20 @@ impl Rcc {
     /// The system clock follows its selection once the source is ready; 7.2.7.
     fn switch(&mut self, value: u32, context: &mut Context) {
         let mut wanted = Cfgr(value);
-        let control = Cr(self.word(CR));
+        let control = Cr(self.words[CR]);
         let is_ready = match wanted.sw().to_bits() {
             1 => control.hsirdy(),
             2 => control.hserdy(),
-            3 => control.pllrdy() && Pllcfgr(self.word(PLLCFGR)).pllren(),
+            3 => control.pllrdy() && Pllcfgr(self.words[PLLCFGR]).pllren(),
             _ => false,
         };
         if !is_ready {
-            context.report(Kind::Misconfigured, CFGR, "a clock is selected that is not ready");
+            context.misconfigured(CFGR, "a clock is selected that is not ready");
             return;
         }
         wanted.set_sws(wanted.sw());
         let before = self.clocks.core;
-        *self.word_mut(CFGR) = wanted.0;
+        self.words[CFGR] = wanted.0;
         self.derive();
         let after = self.clocks.core;
         if after == before {
@@ -351,7 +338,7 @@ impl Rcc {
     }
 
     fn pll(&self) -> Frequency {
-        let configuration = Pllcfgr(self.word(PLLCFGR));
+        let configuration = Pllcfgr(self.words[PLLCFGR]);
         let source = match configuration.pllsrc().to_bits() {
             2 => HSI,
             3 => self.crystal,
@@ -363,7 +350,7 @@ impl Rcc {
     }
 
     fn derive(&mut self) {
-        let (configuration, pll) = (Cfgr(self.word(CFGR)), Pllcfgr(self.word(PLLCFGR)));
+        let (configuration, pll) = (Cfgr(self.words[CFGR]), Pllcfgr(self.words[PLLCFGR]));
         let vco = self.pll();
         let half_steps = |bits: u8| 2 * (u32::from(bits) + 1);
         let system = match configuration.sws().to_bits() {
@@ -391,7 +378,7 @@ impl Rcc {
         let timers = |bus: Frequency, divisor: u32| {
             if divisor == 1 { bus } else { Frequency(2 * bus.0) }
         };
-        let select = Ccipr(self.word(CCIPR));
+        let select = Ccipr(self.words[CCIPR]);
         let of_bus = |selection: u8| match selection {
             0 => apb1,
             1 => system,
@@ -407,7 +394,7 @@ impl Rcc {
             }
             _ => Frequency(0),
         };
-        let hsi48 = Crrcr(self.word(CRRCR)).hsi48on();
+        let hsi48 = Crrcr(self.words[CRRCR]).hsi48on();
         self.clocks = Clocks {
             core,
             system,

@@ -5,7 +5,6 @@ use stm32_metapac::bdma::regs::Cr;
 
 use crate::peripherals::Context;
 use crate::registers::{interrupt, registers};
-use crate::violations::Kind;
 
 registers! { "DMA1": ISR = 0x00, IFCR = 0x04, CH0_CR = 0x08, CH0_NDTR = 0x0C, CH0_PAR = 0x10, CH0_MAR = 0x14, CH7_MAR = 0xA0 }
 
@@ -195,9 +194,7 @@ impl Dma {
             }
             CH0_CR..=CH7_MAR => self.write_channel(controller, offset, value, context),
             ISR => {}
-            _ => {
-                context.unmodelled(offset);
-            }
+            _ => context.unmodelled_write(offset),
         }
     }
 
@@ -208,7 +205,7 @@ impl Dma {
         match (offset - CH0_CR) % STRIDE + CH0_CR {
             CH0_CR => {
                 if Cr(value).mem2mem() {
-                    context.report(Kind::UnmodelledSetting, offset, "memory to memory");
+                    context.unmodelled_setting(offset, "memory to memory");
                 }
                 if value & 1 != 0 && !is_on {
                     channel.done = 0;
@@ -217,15 +214,11 @@ impl Dma {
                 let is_active = value & 1 != 0 && channel.left > 0;
                 self.active = self.active & !(1 << place) | u16::from(is_active) << place;
             }
-            _ if is_on => {
-                context.report(Kind::WriteProtected, offset, "a channel's registers while it is on")
-            }
+            _ if is_on => context.write_protected(offset, "a channel's registers while it is on"),
             CH0_NDTR => (channel.length, channel.left) = (value & 0xFFFF, value & 0xFFFF),
             CH0_PAR => channel.peripheral = value,
             CH0_MAR => channel.memory = value,
-            _ => {
-                context.unmodelled(offset);
-            }
+            _ => context.unmodelled_write(offset),
         }
     }
 
@@ -242,14 +235,12 @@ impl Dma {
             0x00..=0x3C => {
                 // Events at each request go nowhere without a channel that waits for them.
                 if value & !(0x7F | EVENT_GENERATION) != 0 {
-                    context.report(Kind::UnmodelledSetting, offset, "synchronisation of requests");
+                    context.unmodelled_setting(offset, "synchronisation of requests");
                 }
                 self.channels[offset as usize / 4].mux = value;
             }
             0x84 => {}
-            _ => {
-                context.unmodelled(offset);
-            }
+            _ => context.unmodelled_write(offset),
         }
     }
 }

@@ -4,7 +4,7 @@
 use stm32_metapac::can::regs::{Cccr, Nbtp, Rxgfc};
 
 use crate::devices::{CanBus, CanEvent, CanFrame, Transmission};
-use crate::peripherals::{Context, bit};
+use crate::peripherals::{Context, Words, bit};
 use crate::registers::registers;
 use crate::time::{Frequency, Time};
 use crate::violations::Kind;
@@ -66,7 +66,7 @@ pub struct Fdcan {
     cccr: Cccr,
     nbtp: u32,
     rxgfc: u32,
-    plain: [u32; 0x104 / 4],
+    plain: Words<{ 0x104 / 4 }>,
     ram: Vec<u32>,
     fifos: [Fifo; 2],
     /// Buffers that wait to be sent, in the order of their requests.
@@ -90,22 +90,18 @@ impl Fdcan {
     pub(crate) fn new() -> Self {
         let mut cccr = Cccr(0);
         cccr.set_init(true);
-        let mut plain = [0; 0x104 / 4];
-        for (offset, value) in [
-            (CREL, 0x3214_1218),
-            (ENDN, 0x8765_4321),
-            (DBTP, 0xA33),
-            (TOCC, 0xFFFF_0000),
-            (TOCV, 0xFFFF),
-            (XIDAM, 0x1FFF_FFFF),
-        ] {
-            plain[offset as usize / 4] = value;
-        }
         Self {
             cccr,
             nbtp: 0x0600_0A03,
             rxgfc: 0,
-            plain,
+            plain: Words::new(&[
+                (CREL, 0x3214_1218),
+                (ENDN, 0x8765_4321),
+                (DBTP, 0xA33),
+                (TOCC, 0xFFFF_0000),
+                (TOCV, 0xFFFF),
+                (XIDAM, 0x1FFF_FFFF),
+            ]),
             ram: vec![0; RAM_WORDS],
             fifos: [Fifo::default(); 2],
             pending: Vec::new(),
@@ -171,7 +167,7 @@ impl Fdcan {
 
     /// Gives the bus the frame that would go next.
     pub(crate) fn offer(&mut self, bus: &mut dyn CanBus, now: Time) {
-        let is_queue = bit(self.plain[TXBC as usize / 4], 24);
+        let is_queue = bit(self.plain[TXBC], 24);
         let next = if is_queue {
             self.pending.iter().copied().min_by_key(|buffer| self.frame(*buffer).priority())
         } else {
@@ -206,7 +202,7 @@ impl Fdcan {
                 self.end(buffer, TXBTO);
                 self.errors = self.errors.saturating_sub(1);
                 self.last_error = 0;
-                if bit(self.plain[TXBTIE as usize / 4], buffer as u32) {
+                if bit(self.plain[TXBTIE], buffer as u32) {
                     self.raise(TRANSMITTED);
                 }
             }
@@ -239,11 +235,11 @@ impl Fdcan {
     /// A buffer is free again; a cancellation that came too late is finished as well.
     fn end(&mut self, buffer: usize, flag: u32) {
         self.pending.retain(|pending| *pending != buffer);
-        self.plain[flag as usize / 4] |= 1 << buffer;
+        self.plain[flag] |= 1 << buffer;
         if bit(self.cancels, buffer as u32) {
             self.cancels &= !(1 << buffer);
-            self.plain[TXBCF as usize / 4] |= 1 << buffer;
-            if bit(self.plain[TXBCIE as usize / 4], buffer as u32) {
+            self.plain[TXBCF] |= 1 << buffer;
+            if bit(self.plain[TXBCIE], buffer as u32) {
                 self.raise(CANCELLED);
             }
         }
@@ -257,7 +253,7 @@ impl Fdcan {
     }
 
     fn raise(&mut self, flags: u32) {
-        self.plain[IR as usize / 4] |= flags;
+        self.plain[IR] |= flags;
     }
 
     /// The FIFO that a filter sends a frame to; 44.3.3 and 44.4.30.
@@ -299,7 +295,7 @@ impl Fdcan {
             Some(2) => Some(1),
             Some(3) => None,
             Some(_) => {
-                context.report(Kind::UnmodelledSetting, RXGFC, "a filter that sets a priority");
+                context.unmodelled_setting(RXGFC, "a filter that sets a priority");
                 None
             }
             None => {
@@ -349,8 +345,8 @@ impl Fdcan {
 
     /// Levels of the two interrupt lines.
     pub(crate) fn interrupts(&self) -> [bool; 2] {
-        let active = self.plain[IR as usize / 4] & self.plain[IE as usize / 4];
-        let (routes, lines) = (self.plain[ILS as usize / 4], self.plain[ILE as usize / 4]);
+        let active = self.plain[IR] & self.plain[IE];
+        let (routes, lines) = (self.plain[ILS], self.plain[ILE]);
         let of_line = |line: u32| {
             let groups = GROUPS.iter().enumerate().filter(|(group, _)| routes >> group & 1 == line);
             let bits = groups.fold(0, |all, (_, bits)| all | bits);
@@ -391,7 +387,7 @@ impl Fdcan {
             TXBAR | TXBCR | RXFA0 | RXFA1 => 0,
             CREL | ENDN | DBTP | TEST | RWD | TSCC | TOCC | TOCV | TDCR | IR | IE | ILS | ILE
             | XIDAM | HPMS | TXBC | TXBTO | TXBCF | TXBTIE | TXBCIE | TXEFS | TXEFA | CKDIV => {
-                self.plain[offset as usize / 4]
+                self.plain[offset]
             }
             _ => context.unmodelled(offset),
         }
@@ -409,15 +405,11 @@ impl Fdcan {
         match offset {
             CCCR => self.write_cccr(value, has_pins, context),
             NBTP | RXGFC | DBTP | TXBC | XIDAM | TDCR | TSCC | CKDIV if !is_open => {
-                context.report(
-                    Kind::WriteProtected,
-                    offset,
-                    "the configuration while the controller is on",
-                );
+                context.write_protected(offset, "the configuration while the controller is on")
             }
             NBTP => self.nbtp = value,
             RXGFC => self.rxgfc = value,
-            IR => self.plain[IR as usize / 4] &= !value,
+            IR => self.plain[IR] &= !value,
             TXBAR => {
                 for buffer in (0..DEPTH).filter(|buffer| bit(value, *buffer as u32)) {
                     if self.pending.contains(&buffer) {
@@ -426,8 +418,8 @@ impl Fdcan {
                         self.check_element(buffer, context);
                         self.pending.push(buffer);
                     }
-                    self.plain[TXBTO as usize / 4] &= !(1 << buffer);
-                    self.plain[TXBCF as usize / 4] &= !(1 << buffer);
+                    self.plain[TXBTO] &= !(1 << buffer);
+                    self.plain[TXBCF] &= !(1 << buffer);
                 }
             }
             TXBCR => {
@@ -451,27 +443,19 @@ impl Fdcan {
                     fifo.has_lost = false;
                 }
             }
-            TEST if value & 0x10 != 0 => {
-                context.report(Kind::UnmodelledSetting, offset, "loop back")
-            }
+            TEST if value & 0x10 != 0 => context.unmodelled_setting(offset, "loop back"),
             IE | ILS | ILE | DBTP | TXBC | XIDAM | TDCR | TSCC | CKDIV | TXBTIE | TXBCIE | TOCC
             | TEST | RWD => {
-                self.plain[offset as usize / 4] = value;
+                self.plain[offset] = value;
             }
             PSR | ECR | TSCV | TOCV | TXEFA => {}
-            _ => {
-                context.unmodelled(offset);
-            }
+            _ => context.unmodelled_write(offset),
         }
     }
 
     fn check_element(&self, buffer: usize, context: &mut Context) {
         if self.ram[TRANSMIT + ELEMENT * buffer + 1] & 0x0030_0000 != 0 {
-            context.report(
-                Kind::UnmodelledSetting,
-                TXBAR,
-                "an FD frame or a switch of the bit rate",
-            );
+            context.unmodelled_setting(TXBAR, "an FD frame or a switch of the bit rate");
         }
     }
 
@@ -484,15 +468,11 @@ impl Fdcan {
         }
         next.set_csa(next.csr());
         if next.fdoe() || next.mon() || next.asm() || next.test() {
-            context.report(
-                Kind::UnmodelledSetting,
-                CCCR,
-                "FD frames, or a test, monitoring or restricted mode",
-            );
+            context.unmodelled_setting(CCCR, "FD frames, or a test, monitoring or restricted mode");
         }
         self.cccr = next;
         if next.cce() && !was_init {
-            context.report(Kind::WriteProtected, CCCR, "CCE without INIT");
+            context.write_protected(CCCR, "CCE without INIT");
         }
         if was_init && !next.init() {
             if !has_pins {
@@ -512,13 +492,11 @@ impl Fdcan {
     /// A word of message RAM; it takes whole words only (44.3.3).
     pub(crate) fn write_ram(&mut self, offset: u32, value: u32, bytes: u32, context: &mut Context) {
         if bytes != 4 {
-            context.report(Kind::Misconfigured, offset, "message RAM takes whole words only");
+            context.misconfigured(offset, "message RAM takes whole words only");
         }
         match self.ram.get_mut(offset as usize / 4) {
             Some(word) => *word = value,
-            None => {
-                context.unmodelled(offset);
-            }
+            None => context.unmodelled_write(offset),
         }
     }
 
@@ -526,7 +504,7 @@ impl Fdcan {
     pub(crate) fn check_timing(&self, bus: &dyn CanBus, context: &mut Context) {
         let (own, other) = (self.bit_time().ps(), bus.bit_time().ps());
         if self.is_on() && own.abs_diff(other) * 200 > other {
-            context.report(Kind::Misconfigured, NBTP, "another bit rate than the bus's");
+            context.misconfigured(NBTP, "another bit rate than the bus's");
         }
     }
 }

@@ -362,8 +362,7 @@ impl Flash {
                 self.keys = match self.keys {
                     keys if KEYS.get(keys) == Some(&value) => keys + 1,
                     _ => {
-                        context.report(
-                            Kind::WriteProtected,
+                        context.write_protected(
                             offset,
                             "a wrong key: flash stays locked until a reset",
                         );
@@ -380,11 +379,9 @@ impl Flash {
             // Flags are cleared by writing them.
             ECCR => self.eccr = self.eccr & !(value & 0xF000_0000) & !(1 << 24) | value & 1 << 24,
             OPTKEYR | PDKEYR | OPTR => {
-                context.report(Kind::UnmodelledSetting, offset, "option bytes or power-down");
+                context.unmodelled_setting(offset, "option bytes or power-down")
             }
-            _ => {
-                context.unmodelled(offset);
-            }
+            _ => context.unmodelled_write(offset),
         }
     }
 
@@ -392,20 +389,16 @@ impl Flash {
         let next = Cr(value);
         if self.cr.lock() {
             if !next.lock() {
-                context.report(Kind::WriteProtected, CR, "flash is locked");
+                context.write_protected(CR, "flash is locked");
             }
             return;
         }
         if self.operation.is_some() {
-            context.report(Kind::WriteProtected, CR, "flash is busy");
+            context.write_protected(CR, "flash is busy");
             return;
         }
         if next.mer1() || next.mer2() || next.fstpg() || next.optstrt() || next.obl_launch() {
-            context.report(
-                Kind::UnmodelledSetting,
-                CR,
-                "mass erase, fast programming, option bytes",
-            );
+            context.unmodelled_setting(CR, "mass erase, fast programming, option bytes");
         }
         self.cr = next;
         self.cr.set_strt(false);

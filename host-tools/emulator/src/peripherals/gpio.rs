@@ -1,8 +1,7 @@
 //! General-purpose pins, RM0440 section 9: modes, outputs, inputs, alternate functions.
 
-use crate::peripherals::Context;
+use crate::peripherals::{Context, Words};
 use crate::registers::registers;
-use crate::violations::Kind;
 
 registers! { "GPIOA":
     MODER = 0x00, OTYPER = 0x04, OSPEEDR = 0x08, PUPDR = 0x0C, IDR = 0x10, ODR = 0x14, BSRR = 0x18, LCKR = 0x1C,
@@ -60,7 +59,7 @@ pub enum Mode {
 /// A port of 16 pins.
 #[derive(Clone)]
 pub struct Gpio {
-    words: [u32; 10],
+    words: Words<10>,
     /// What is outside of each pin: driven low or high, or nothing.
     external: [Option<bool>; 16],
 }
@@ -73,11 +72,8 @@ impl Gpio {
             1 => (0xFFFF_FEBF, 0x0000_0000, 0x0000_0100),
             _ => (0xFFFF_FFFF, 0, 0),
         };
-        let mut gpio = Self { words: [0; 10], external: [None; 16] };
-        for (offset, value) in [(MODER, moder), (OSPEEDR, ospeedr), (PUPDR, pupdr)] {
-            gpio.words[offset as usize / 4] = value;
-        }
-        gpio
+        let words = Words::new(&[(MODER, moder), (OSPEEDR, ospeedr), (PUPDR, pupdr)]);
+        Self { words, external: [None; 16] }
     }
 
     /// Sets registers to their reset values; what is outside stays.
@@ -85,17 +81,13 @@ impl Gpio {
         *self = Self { external: self.external, ..Self::new(port) };
     }
 
-    fn word(&self, offset: u32) -> u32 {
-        self.words[offset as usize / 4]
-    }
-
     /// What a pin is connected to.
     pub fn mode(&self, pin: usize) -> Mode {
-        match self.word(MODER) >> (2 * pin) & 3 {
+        match self.words[MODER] >> (2 * pin) & 3 {
             0 => Mode::Input,
             1 => Mode::Output,
             2 => Mode::Alternate(
-                (self.word(AFR0 + 4 * (pin as u32 / 8)) >> (4 * (pin % 8)) & 0xF) as u8,
+                (self.words[AFR0 + 4 * (pin as u32 / 8)] >> (4 * (pin % 8)) & 0xF) as u8,
             ),
             _ => Mode::Analog,
         }
@@ -103,12 +95,12 @@ impl Gpio {
 
     /// Whether a pin's output only pulls low.
     pub fn is_open_drain(&self, pin: usize) -> bool {
-        self.word(OTYPER) >> pin & 1 != 0
+        self.words[OTYPER] >> pin & 1 != 0
     }
 
     /// The level that the program drives; none where it does not drive the pin.
     pub fn driven(&self, pin: usize) -> Option<bool> {
-        let is_high = self.word(ODR) >> pin & 1 != 0;
+        let is_high = self.words[ODR] >> pin & 1 != 0;
         (self.mode(pin) == Mode::Output && !(is_high && self.is_open_drain(pin))).then_some(is_high)
     }
 
@@ -125,7 +117,7 @@ impl Gpio {
         match (self.driven(pin), external) {
             (Some(level), None) | (None, Some(level)) => level,
             (Some(inside), Some(outside)) => inside && outside,
-            (None, None) => self.word(PUPDR) >> (2 * pin) & 3 == 1,
+            (None, None) => self.words[PUPDR] >> (2 * pin) & 3 == 1,
         }
     }
 
@@ -135,28 +127,21 @@ impl Gpio {
             IDR => (0..16)
                 .map(|pin| u32::from(self.mode(pin) != Mode::Analog && self.level(pin)) << pin)
                 .sum(),
-            MODER | OTYPER | OSPEEDR | PUPDR | ODR | LCKR | AFR0 | AFR1 => self.word(offset),
+            MODER | OTYPER | OSPEEDR | PUPDR | ODR | LCKR | AFR0 | AFR1 => self.words[offset],
             BSRR | BRR => 0,
             _ => context.unmodelled(offset),
         }
     }
 
     pub(crate) fn write(&mut self, offset: u32, value: u32, context: &mut Context) {
-        let odr = ODR as usize / 4;
         match offset {
             // Where a bit is set and reset at once, setting wins (9.4.7).
-            BSRR => self.words[odr] = self.words[odr] & !(value >> 16) | value & 0xFFFF,
-            BRR => self.words[odr] &= !(value & 0xFFFF),
-            MODER | OTYPER | OSPEEDR | PUPDR | ODR | AFR0 | AFR1 => {
-                self.words[offset as usize / 4] = value
-            }
+            BSRR => self.words[ODR] = self.words[ODR] & !(value >> 16) | value & 0xFFFF,
+            BRR => self.words[ODR] &= !(value & 0xFFFF),
+            MODER | OTYPER | OSPEEDR | PUPDR | ODR | AFR0 | AFR1 => self.words[offset] = value,
             IDR => {}
-            LCKR => {
-                context.report(Kind::UnmodelledSetting, offset, "a pin's configuration is locked")
-            }
-            _ => {
-                context.unmodelled(offset);
-            }
+            LCKR => context.unmodelled_setting(offset, "a pin's configuration is locked"),
+            _ => context.unmodelled_write(offset),
         }
     }
 }

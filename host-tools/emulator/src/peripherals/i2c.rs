@@ -317,8 +317,7 @@ impl I2c {
             CR1 => {
                 self.write_cr1(value, has_pins, context);
                 if self.cr1.pe() && !is_fast_mode_plus && self.bits(1, delay) < FAST_MODE_BIT {
-                    context.report(
-                        Kind::Misconfigured,
+                    context.misconfigured(
                         CR1,
                         "more than 400 kHz without the drivers of 20 mA (SYSCFG_CFGR1)",
                     );
@@ -327,31 +326,23 @@ impl I2c {
                     && self.bits(1, delay) < FAST_MODE_BIT
                     && self.clock < FAST_MODE_PLUS_CLOCK
                 {
-                    context.report(
-                        Kind::Misconfigured,
-                        CR1,
-                        "Fast-mode Plus with a kernel clock below 17 MHz",
-                    );
+                    context.misconfigured(CR1, "Fast-mode Plus with a kernel clock below 17 MHz");
                 }
             }
             CR2 => self.write_cr2(value, delay, context),
             TIMINGR if self.cr1.pe() => {
-                context.report(
-                    Kind::WriteProtected,
-                    offset,
-                    "the timing while the peripheral is on",
-                );
+                context.write_protected(offset, "the timing while the peripheral is on")
             }
             TIMINGR => self.timing = value,
             OAR1 | OAR2 => {
                 if bit(value, 15) {
-                    context.report(Kind::UnmodelledSetting, offset, "an address of its own");
+                    context.unmodelled_setting(offset, "an address of its own");
                 }
                 self.own_addresses[(offset - OAR1) as usize / 4] = value;
             }
             TIMEOUTR => {
                 if value & 0x8000_8000 != 0 {
-                    context.report(Kind::UnmodelledSetting, offset, "a time-out of the bus");
+                    context.unmodelled_setting(offset, "a time-out of the bus");
                 }
                 self.timeout = value;
             }
@@ -367,9 +358,7 @@ impl I2c {
                     self.send_or_await_byte(context.now, delay);
                 }
             }
-            _ => {
-                context.unmodelled(offset);
-            }
+            _ => context.unmodelled_write(offset),
         }
     }
 
@@ -377,12 +366,12 @@ impl I2c {
         let was_on = self.cr1.pe();
         self.cr1 = Cr1(value);
         if value & 0x00FB_0000 != 0 {
-            context.report(Kind::UnmodelledSetting, CR1, "a target's or SMBus's option");
+            context.unmodelled_setting(CR1, "a target's or SMBus's option");
         }
         match (was_on, self.cr1.pe()) {
             (false, true) => {
                 if self.timing == 0 {
-                    context.report(Kind::Misconfigured, CR1, "switched on without a timing");
+                    context.misconfigured(CR1, "switched on without a timing");
                 }
                 if !has_pins {
                     context.report(
@@ -412,7 +401,7 @@ impl I2c {
         // Start and stop are set by software and cleared by hardware.
         self.cr2 = Cr2(value | old.0 & 0x6000);
         if self.cr2.add10().to_bits() == 1 {
-            context.report(Kind::UnmodelledSetting, CR2, "addresses of ten bits");
+            context.unmodelled_setting(CR2, "addresses of ten bits");
         }
         if !self.cr1.pe() {
             self.cr2.set_start(false);

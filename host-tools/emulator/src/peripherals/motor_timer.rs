@@ -4,7 +4,7 @@
 use stm32_metapac::timer::regs::{Af1Adv, BdtrAdv};
 
 use crate::peripherals::syscfg::BreakSource;
-use crate::peripherals::{Context, bit};
+use crate::peripherals::{Context, Words, bit};
 use crate::registers::registers;
 use crate::time::{Frequency, Time};
 use crate::violations::Kind;
@@ -46,7 +46,7 @@ pub(crate) enum Moment {
 /// The peripheral.
 #[derive(Clone)]
 pub struct MotorTimer {
-    words: [u32; WORDS],
+    words: Words<WORDS>,
     /// Values in use; new ones wait for an update.
     compares: [u32; 4],
     reload: u32,
@@ -68,8 +68,8 @@ pub struct MotorTimer {
 
 impl MotorTimer {
     pub(crate) fn new() -> Self {
-        let mut timer = Self {
-            words: [0; WORDS],
+        Self {
+            words: Words::new(&[(ARR, 0xFFFF), (AF1, 1), (AF2, 1)]),
             compares: [0; 4],
             reload: 0xFFFF,
             repetitions: 0,
@@ -81,11 +81,7 @@ impl MotorTimer {
             is_supply_low: false,
             is_stopped: false,
             switched: Vec::new(),
-        };
-        *timer.word_mut(ARR) = 0xFFFF;
-        *timer.word_mut(AF1) = 1;
-        *timer.word_mut(AF2) = 1;
-        timer
+        }
     }
 
     /// Registers take their reset values; what was switched stays known.
@@ -98,16 +94,8 @@ impl MotorTimer {
         }
     }
 
-    fn word(&self, offset: u32) -> u32 {
-        self.words[offset as usize / 4]
-    }
-
-    fn word_mut(&mut self, offset: u32) -> &mut u32 {
-        &mut self.words[offset as usize / 4]
-    }
-
     fn bdtr(&self) -> BdtrAdv {
-        BdtrAdv(self.word(BDTR))
+        BdtrAdv(self.words[BDTR])
     }
 
     fn half(&self) -> Time {
@@ -117,7 +105,7 @@ impl MotorTimer {
     /// Whether the half bridges are driven: main output, channels and counter are on.
     pub fn is_driving(&self) -> bool {
         let is_on = self.bdtr().moe() && !self.is_stopped;
-        is_on && self.word(CCER) & ALL_OUTPUTS == ALL_OUTPUTS && bit(self.word(CR1), 0)
+        is_on && self.words[CCER] & ALL_OUTPUTS == ALL_OUTPUTS && bit(self.words[CR1], 0)
     }
 
     /// Shares of the period in which the high sides are on; none where the outputs are off.
@@ -168,7 +156,7 @@ impl MotorTimer {
 
     /// What comes after `last` in the period that began at `since`.
     fn schedule(&mut self, last: Option<Moment>) {
-        if !bit(self.word(CR1), 0) {
+        if !bit(self.words[CR1], 0) {
             self.next = None;
             return;
         }
@@ -191,21 +179,21 @@ impl MotorTimer {
     }
 
     fn update(&mut self) {
-        self.reload = self.word(ARR);
-        self.repetitions = self.word(RCR);
-        self.compares = [0, 1, 2, 3].map(|channel| self.word(CCR0 + 4 * channel));
-        *self.word_mut(SR) |= UPDATE;
+        self.reload = self.words[ARR];
+        self.repetitions = self.words[RCR];
+        self.compares = [0, 1, 2, 3].map(|channel| self.words[CCR0 + 4 * channel]);
+        self.words[SR] |= UPDATE;
     }
 
     /// Whether the rise of the fourth channel's reference is the trigger TRGO2: PWM mode 2 and MMS2.
     pub(crate) fn triggers_converter(&self) -> bool {
-        let mode = self.word(CCMR_OUTPUT1) >> 12 & 7 | self.word(CCMR_OUTPUT1) >> 21 & 8;
-        mode == 7 && self.word(CR2) >> 20 & 0xF == 7 && !self.is_stopped
+        let mode = self.words[CCMR_OUTPUT1] >> 12 & 7 | self.words[CCMR_OUTPUT1] >> 21 & 8;
+        mode == 7 && self.words[CR2] >> 20 & 0xF == 7 && !self.is_stopped
     }
 
     /// Whether TRGO follows the update event: MMS.
     pub(crate) fn triggers_on_update(&self) -> bool {
-        self.word(CR2) >> 4 & 7 == 2 && !self.is_stopped
+        self.words[CR2] >> 4 & 7 == 2 && !self.is_stopped
     }
 
     /// From when to when in this period each low side is on; none where the outputs are off.
@@ -238,7 +226,7 @@ impl MotorTimer {
     /// An internal source of the break; the clock security system always is one. BKE enables all of them (28.6.20).
     pub(crate) fn system_break(&mut self, _: Option<BreakSource>, now: Time) {
         if self.bdtr().bke(0) {
-            *self.word_mut(SR) |= SYSTEM_BREAK;
+            self.words[SR] |= SYSTEM_BREAK;
             self.switch_off(now);
         }
     }
@@ -253,7 +241,7 @@ impl MotorTimer {
         let was_on = self.is_driving();
         let mut bdtr = self.bdtr();
         bdtr.set_moe(false);
-        *self.word_mut(BDTR) = bdtr.0;
+        self.words[BDTR] = bdtr.0;
         if was_on {
             self.switched.push((now, false));
         }
@@ -263,7 +251,7 @@ impl MotorTimer {
     fn is_broken(&self) -> [bool; 2] {
         let bdtr = self.bdtr();
         [0, 1].map(|input| {
-            let af = Af1Adv(self.word(if input == 0 { AF1 } else { AF2 }));
+            let af = Af1Adv(self.words[if input == 0 { AF1 } else { AF2 }]);
             let active_high = bdtr.bkp(input).to_bits() == 1;
             // Polarity of the pin's own path, BKINP.
             let level = self.break_inputs[input] != bit(af.0, 9);
@@ -280,7 +268,7 @@ impl MotorTimer {
 
     fn check_breaks(&mut self, now: Time) {
         let broken = self.is_broken();
-        *self.word_mut(SR) |= self.active_breaks();
+        self.words[SR] |= self.active_breaks();
         if broken.contains(&true) && self.bdtr().moe() {
             self.switch_off(now);
         }
@@ -291,9 +279,9 @@ impl MotorTimer {
 
     /// Levels of the interrupts: break, update.
     pub(crate) fn interrupts(&self) -> [bool; 2] {
-        let active = self.word(SR) & self.word(DIER);
+        let active = self.words[SR] & self.words[DIER];
         let breaks = active & BREAK != 0
-            || self.word(SR) & (BREAK_2 | SYSTEM_BREAK) != 0 && bit(self.word(DIER), 7);
+            || self.words[SR] & (BREAK_2 | SYSTEM_BREAK) != 0 && bit(self.words[DIER], 7);
         [breaks, active & UPDATE != 0]
     }
 
@@ -301,13 +289,13 @@ impl MotorTimer {
         match offset {
             CNT => self.count(context.now),
             EGR => 0,
-            CR1..=CCR3 | BDTR | DTR2 | AF1 | AF2 => self.word(offset),
+            CR1..=CCR3 | BDTR | DTR2 | AF1 | AF2 => self.words[offset],
             _ => context.unmodelled(offset),
         }
     }
 
     fn count(&self, now: Time) -> u32 {
-        if !bit(self.word(CR1), 0) || self.clock.0 == 0 {
+        if !bit(self.words[CR1], 0) || self.clock.0 == 0 {
             return 0;
         }
         let ticks = (now.since(self.since).ps() / self.clock.period().ps()) as u32;
@@ -321,14 +309,11 @@ impl MotorTimer {
         match offset {
             CR1 => {
                 if value & 1 != 0 && value & 0x60 != 0x20 {
-                    context.report(
-                        Kind::UnmodelledSetting,
-                        offset,
-                        "pulses that are not centre-aligned, mode 1",
-                    );
+                    context
+                        .unmodelled_setting(offset, "pulses that are not centre-aligned, mode 1");
                 }
-                let starts = bit(value, 0) && !bit(self.word(CR1), 0);
-                *self.word_mut(CR1) = value;
+                let starts = bit(value, 0) && !bit(self.words[CR1], 0);
+                self.words[CR1] = value;
                 if starts {
                     self.clock = context.clocks.apb2_timers;
                     self.since = context.now;
@@ -342,32 +327,25 @@ impl MotorTimer {
                     self.update();
                 }
                 if value & (BREAK | BREAK_2) != 0 {
-                    *self.word_mut(SR) |= value & (BREAK | BREAK_2);
+                    self.words[SR] |= value & (BREAK | BREAK_2);
                     self.switch_off(context.now);
                 }
             }
             // A flag of a break that is active stays (28.6.6).
-            SR => *self.word_mut(SR) &= value | self.active_breaks(),
+            SR => self.words[SR] &= value | self.active_breaks(),
             BDTR => self.write_bdtr(value, context),
-            CCR0..=CCR3 => *self.word_mut(offset) = value & 0xFFFF,
-            ARR | RCR => *self.word_mut(offset) = value & 0xFFFF,
-            PSC | SMCR | DTR2 if value != 0 => {
-                context.report(
-                    Kind::UnmodelledSetting,
-                    offset,
-                    "a prescaler, a slave mode, asymmetric dead times",
-                );
-            }
+            CCR0..=CCR3 => self.words[offset] = value & 0xFFFF,
+            ARR | RCR => self.words[offset] = value & 0xFFFF,
+            PSC | SMCR | DTR2 if value != 0 => context
+                .unmodelled_setting(offset, "a prescaler, a slave mode, asymmetric dead times"),
             PSC | SMCR | DTR2 => {}
-            CR2 if self.is_locked && (self.word(CR2) ^ value) & LOCKED_IDLE_LEVELS != 0 => {
-                context.report(Kind::WriteProtected, offset, "bits that LOCK protects");
+            CR2 if self.is_locked && (self.words[CR2] ^ value) & LOCKED_IDLE_LEVELS != 0 => {
+                context.write_protected(offset, "bits that LOCK protects")
             }
             CR2 | DIER | CCMR_OUTPUT0 | CCMR_OUTPUT1 | CCER | AF1 | AF2 => {
-                *self.word_mut(offset) = value
+                self.words[offset] = value
             }
-            _ => {
-                context.unmodelled(offset);
-            }
+            _ => context.unmodelled_write(offset),
         }
         self.check_breaks(context.now);
         let is_on = self.is_driving();
@@ -380,18 +358,18 @@ impl MotorTimer {
     }
 
     fn write_bdtr(&mut self, value: u32, context: &mut Context) {
-        let old = self.word(BDTR);
+        let old = self.words[BDTR];
         let keeps = if self.is_locked { LOCKED | LOCK } else { 0 };
         if (old ^ value) & keeps != 0 {
-            context.report(Kind::WriteProtected, BDTR, "bits that LOCK protects");
+            context.write_protected(BDTR, "bits that LOCK protects");
         }
-        *self.word_mut(BDTR) = value & !keeps | old & keeps;
+        self.words[BDTR] = value & !keeps | old & keeps;
         // "This flag must be reset to re-start PWM operation" (28.6.6, SBIF).
-        if self.word(SR) & SYSTEM_BREAK != 0 && old & MAIN_OUTPUT == 0 {
-            *self.word_mut(BDTR) &= !MAIN_OUTPUT;
+        if self.words[SR] & SYSTEM_BREAK != 0 && old & MAIN_OUTPUT == 0 {
+            self.words[BDTR] &= !MAIN_OUTPUT;
         }
         if self.bdtr().aoe() {
-            context.report(Kind::UnmodelledSetting, BDTR, "outputs that come back by themselves");
+            context.unmodelled_setting(BDTR, "outputs that come back by themselves");
         }
         self.is_locked |= value & LOCK != 0;
     }
@@ -408,7 +386,7 @@ impl MotorTimer {
             context.report(Kind::UnsafeBridge, BDTR, "no dead time between high and low side");
         }
         // Every output active high, and each pair complementary.
-        if self.word(CCER) & 0xAAA != 0 {
+        if self.words[CCER] & 0xAAA != 0 {
             context.report(Kind::UnsafeBridge, CCER, "an output is inverted");
         }
     }

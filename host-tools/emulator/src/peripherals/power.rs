@@ -4,7 +4,6 @@
 use crate::peripherals::{Context, bit};
 use crate::registers::registers;
 use crate::time::Frequency;
-use crate::violations::Kind;
 
 registers! { "PWR":
     CR1 = 0x00, CR2 = 0x04, CR3 = 0x08, CR4 = 0x0C, SR1 = 0x10, SR2 = 0x14, SCR = 0x18, CR5 = 0x80,
@@ -86,21 +85,19 @@ impl Pwr {
         match offset {
             CR1 => {
                 if value & 7 != 0 {
-                    context.report(Kind::UnmodelledSetting, offset, "a low-power mode");
+                    context.unmodelled_setting(offset, "a low-power mode");
                 }
                 self.cr[0] = value;
             }
             CR2 | CR3 | CR4 => self.cr[offset as usize / 4] = value,
             CR5 => {
                 if value & !(1 << R1MODE) != 0 {
-                    context.report(Kind::Misconfigured, offset, "a reserved bit is set");
+                    context.misconfigured(offset, "a reserved bit is set");
                 }
                 self.cr5 = value & 1 << R1MODE;
             }
             SCR | SR1 | SR2 => {}
-            _ => {
-                context.unmodelled(offset);
-            }
+            _ => context.unmodelled_write(offset),
         }
     }
 }

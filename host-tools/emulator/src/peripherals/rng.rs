@@ -3,7 +3,6 @@
 use crate::peripherals::{Context, bit};
 use crate::registers::registers;
 use crate::time::{Frequency, Time};
-use crate::violations::Kind;
 
 registers! { "RNG": CR = 0x00, SR = 0x04, DR = 0x08 }
 /// Not in the metadata: the health test's thresholds (26.7.4).
@@ -50,7 +49,7 @@ impl Rng {
             CR => self.control,
             SR => u32::from(self.is_ready(context.now)),
             DR if !self.is_ready(context.now) => {
-                context.report(Kind::Misconfigured, offset, "no number is ready");
+                context.misconfigured(offset, "no number is ready");
                 0
             }
             DR => {
@@ -71,7 +70,7 @@ impl Rng {
         match offset {
             CR => {
                 if bit(value, 2) && context.clocks.rng == Frequency(0) {
-                    context.report(Kind::Misconfigured, offset, "no clock of 48 MHz");
+                    context.misconfigured(offset, "no clock of 48 MHz");
                 }
                 let was_off = !bit(self.control, 2) || bit(self.control, 30);
                 if bit(value, 2) && was_off {
@@ -81,9 +80,7 @@ impl Rng {
             }
             HTCR => self.thresholds = value,
             SR => {}
-            _ => {
-                context.unmodelled(offset);
-            }
+            _ => context.unmodelled_write(offset),
         }
     }
 }

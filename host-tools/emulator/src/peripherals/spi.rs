@@ -173,17 +173,13 @@ impl Spi {
             CR1 => {
                 self.cr1 = value;
                 if value & UNMODELLED_CR1 != 0 {
-                    context.report(
-                        Kind::UnmodelledSetting,
-                        offset,
-                        "CRC, one data line, LSB first",
-                    );
+                    context.unmodelled_setting(offset, "CRC, one data line, LSB first");
                 }
                 self.start_frame(context.now);
             }
             CR2 => {
                 if value & UNMODELLED_CR2 != 0 || !matches!(Cr2(value).ds().to_bits(), 7 | 15) {
-                    context.report(Kind::UnmodelledSetting, offset, "interrupts, other frames");
+                    context.unmodelled_setting(offset, "interrupts, other frames");
                 }
                 self.cr2 = value;
             }
@@ -220,12 +216,10 @@ impl Spi {
                 self.start_frame(context.now);
             }
             CRCPR | I2SCFGR | I2SPR if value & !7 != 0 => {
-                context.report(Kind::UnmodelledSetting, offset, "CRC or I2S");
+                context.unmodelled_setting(offset, "CRC or I2S")
             }
             SR | CRCPR | RXCRCR | TXCRCR | I2SCFGR | I2SPR => {}
-            _ => {
-                context.unmodelled(offset);
-            }
+            _ => context.unmodelled_write(offset),
         }
     }
 }

@@ -1,8 +1,7 @@
 //! System configuration controller, RM0440 section 10, and the debug unit's control register (section 47).
 
-use crate::peripherals::{Context, bit};
+use crate::peripherals::{Context, Words, bit};
 use crate::registers::registers;
-use crate::violations::Kind;
 
 registers! { "SYSCFG":
     MEMRMP = 0x00, CFGR1 = 0x04, EXTICR0 = 0x08, EXTICR3 = 0x14, SCSR = 0x18, CFGR2 = 0x1C, SWPR = 0x20, SKR = 0x24,
@@ -24,38 +23,38 @@ pub enum BreakSource {
 /// The peripheral.
 #[derive(Clone, Default)]
 pub struct Syscfg {
-    words: [u32; 10],
+    words: Words<10>,
 }
 
 impl Syscfg {
     /// Whether an internal source switches the timers' outputs off. Once set, it stays until a reset.
     pub(crate) fn breaks_on(&self, source: BreakSource) -> bool {
-        bit(self.words[CFGR2 as usize / 4], source as u32)
+        bit(self.words[CFGR2], source as u32)
     }
 
     /// Pads of an I2C peripheral (1 to 3) drive 20 mA, as 1 MHz needs.
     pub(crate) fn fast_mode_plus(&self, number: u32) -> bool {
-        bit(self.words[CFGR1 as usize / 4], 19 + number)
+        bit(self.words[CFGR1], 19 + number)
     }
 
     /// Port (A is 0) whose pin drives an external interrupt line.
     pub(crate) fn exti_port(&self, line: usize) -> usize {
-        let word = self.words[EXTICR0 as usize / 4 + line / 4];
+        let word = self.words[EXTICR0 + line as u32 / 4 * 4];
         (word >> (4 * (line % 4)) & 0xF) as usize
     }
 
     pub(crate) fn read(&mut self, offset: u32, context: &mut Context) -> u32 {
         match offset {
-            MEMRMP..=SKR if offset.is_multiple_of(4) => self.words[offset as usize / 4],
+            MEMRMP..=SKR if offset.is_multiple_of(4) => self.words[offset],
             _ => context.unmodelled(offset),
         }
     }
 
     pub(crate) fn write(&mut self, offset: u32, value: u32, context: &mut Context) {
         let word = match offset {
-            MEMRMP..=SKR if offset.is_multiple_of(4) => &mut self.words[offset as usize / 4],
+            MEMRMP..=SKR if offset.is_multiple_of(4) => &mut self.words[offset],
             _ => {
-                context.unmodelled(offset);
+                context.unmodelled_write(offset);
                 return;
             }
         };
@@ -63,16 +62,10 @@ impl Syscfg {
             // Lock bits are set once.
             CFGR2 => *word |= value & 0xF,
             MEMRMP if value & 0x107 != 0 => {
-                context.report(
-                    Kind::UnmodelledSetting,
-                    offset,
-                    "another memory or bank at address 0",
-                );
+                context.unmodelled_setting(offset, "another memory or bank at address 0")
             }
             CFGR1 | EXTICR0..=EXTICR3 => *word = value,
-            SCSR | SWPR | SKR => {
-                context.report(Kind::UnmodelledSetting, offset, "erasing or protecting CCM")
-            }
+            SCSR | SWPR | SKR => context.unmodelled_setting(offset, "erasing or protecting CCM"),
             _ => {}
         }
     }
@@ -81,7 +74,7 @@ impl Syscfg {
 /// The debug unit's registers (47.16): control, and what stops while a debugger halts the core.
 #[derive(Clone, Default)]
 pub struct Dbgmcu {
-    words: [u32; 5],
+    words: Words<5>,
 }
 
 impl Dbgmcu {
@@ -91,23 +84,21 @@ impl Dbgmcu {
 
     /// DBG_TIM1_STOP.
     pub(crate) fn stops_motor_timer(&self) -> bool {
-        bit(self.words[Self::APB2FZR as usize / 4], 11)
+        bit(self.words[Self::APB2FZR], 11)
     }
 
     pub(crate) fn read(&mut self, offset: u32, context: &mut Context) -> u32 {
         match offset {
             0 => Self::IDCODE,
-            4..=Self::APB2FZR => self.words[offset as usize / 4],
+            4..=Self::APB2FZR => self.words[offset],
             _ => context.unmodelled(offset),
         }
     }
 
     pub(crate) fn write(&mut self, offset: u32, value: u32, context: &mut Context) {
         match offset {
-            4..=Self::APB2FZR => self.words[offset as usize / 4] = value,
-            _ => {
-                context.unmodelled(offset);
-            }
+            4..=Self::APB2FZR => self.words[offset] = value,
+            _ => context.unmodelled_write(offset),
         }
     }
 }

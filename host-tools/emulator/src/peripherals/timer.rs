@@ -1,9 +1,8 @@
 //! A general-purpose timer of 32 bits that counts up, RM0440 section 29: TIM5, the time base of the firmware.
 
-use crate::peripherals::{Context, bit};
+use crate::peripherals::{Context, Words, bit};
 use crate::registers::registers;
 use crate::time::{Frequency, Time};
-use crate::violations::Kind;
 
 registers! { "TIM5":
     CR1 = 0x00, CR2 = 0x04, SMCR = 0x08, DIER = 0x0C, SR = 0x10, EGR = 0x14, CCMR_OUTPUT0 = 0x18, CCMR_OUTPUT1 = 0x1C,
@@ -17,7 +16,7 @@ const FLAGS: u32 = 0x1F;
 /// The peripheral.
 #[derive(Clone)]
 pub struct Timer {
-    words: [u32; WORDS],
+    words: Words<WORDS>,
     /// Prescaler in use; a new one is taken over with the next update.
     prescaler: u32,
     /// The counter was `from` at `since`.
@@ -30,17 +29,12 @@ pub struct Timer {
 
 impl Timer {
     pub(crate) fn new() -> Self {
-        let mut words = [0; WORDS];
-        words[ARR as usize / 4] = u32::MAX;
+        let words = Words::new(&[(ARR, u32::MAX)]);
         Self { words, prescaler: 0, since: Time::ZERO, from: 0, seen: 0, clock: Frequency(0) }
     }
 
-    fn word(&self, offset: u32) -> u32 {
-        self.words[offset as usize / 4]
-    }
-
     fn is_running(&self) -> bool {
-        bit(self.word(CR1), 0) && self.clock.0 > 0
+        bit(self.words[CR1], 0) && self.clock.0 > 0
     }
 
     fn tick(&self) -> Time {
@@ -48,7 +42,7 @@ impl Timer {
     }
 
     pub(crate) fn period(&self) -> u64 {
-        u64::from(self.word(ARR)) + 1
+        u64::from(self.words[ARR]) + 1
     }
 
     /// Counts since the timer was set last, not reduced to the period.
@@ -74,7 +68,7 @@ impl Timer {
         let (period, seen) = (self.period(), self.seen);
         let mut flags = u32::from(count / period > seen / period);
         for channel in 0..4 {
-            let compare = u64::from(self.word(CCR0 + 4 * channel));
+            let compare = u64::from(self.words[CCR0 + 4 * channel]);
             // Times that the counter has been at the compare value by a count.
             let passes = |count: u64| {
                 if count >= compare { (count - compare) / period + 1 } else { 0 }
@@ -83,7 +77,7 @@ impl Timer {
                 flags |= 2 << channel;
             }
         }
-        self.words[SR as usize / 4] |= flags;
+        self.words[SR] |= flags;
         self.seen = count;
     }
 
@@ -102,7 +96,7 @@ impl Timer {
 
     /// When an enabled flag is set next.
     pub(crate) fn next_event(&self) -> Time {
-        let enabled = self.word(DIER) & FLAGS;
+        let enabled = self.words[DIER] & FLAGS;
         if !self.is_running() || enabled == 0 {
             return Time::NEVER;
         }
@@ -117,7 +111,7 @@ impl Timer {
         let update = bit(enabled, 0).then(|| (self.seen / period + 1) * period);
         let compares = (0..4)
             .filter(|channel| bit(enabled, channel + 1))
-            .map(|channel| u64::from(self.word(CCR0 + 4 * channel)));
+            .map(|channel| u64::from(self.words[CCR0 + 4 * channel]));
         let compares = compares.filter(|compare| *compare < period).map(after);
         let next = update.into_iter().chain(compares).min();
         next.map_or(Time::NEVER, |count| {
@@ -131,7 +125,7 @@ impl Timer {
 
     /// Level of its interrupt.
     pub(crate) fn interrupt(&self) -> bool {
-        self.word(SR) & self.word(DIER) & FLAGS != 0
+        self.words[SR] & self.words[DIER] & FLAGS != 0
     }
 
     pub(crate) fn read(&mut self, offset: u32, context: &mut Context) -> u32 {
@@ -139,7 +133,7 @@ impl Timer {
         match offset {
             CNT => self.counter(context.now),
             EGR => 0,
-            CR1..=ARR | CCR0..=CCR3 => self.word(offset),
+            CR1..=ARR | CCR0..=CCR3 => self.words[offset],
             _ => context.unmodelled(offset),
         }
     }
@@ -153,47 +147,37 @@ impl Timer {
         self.catch_up(now);
         self.rebase(now);
         match offset {
-            SR => self.words[SR as usize / 4] &= value,
+            SR => self.words[SR] &= value,
             CNT => (self.from, self.seen, self.since) = (u64::from(value), u64::from(value), now),
             EGR => {
                 if bit(value, 0) {
-                    self.prescaler = self.word(PSC);
+                    self.prescaler = self.words[PSC];
                     (self.from, self.seen, self.since) = (0, 0, now);
                     // CR1.URS: only an overflow sets the flag then.
-                    self.words[SR as usize / 4] |= u32::from(!bit(self.word(CR1), 2));
+                    self.words[SR] |= u32::from(!bit(self.words[CR1], 2));
                 }
-                self.words[SR as usize / 4] |= value & 0x1E;
+                self.words[SR] |= value & 0x1E;
             }
             CR1 => {
                 if value & 0x7A != 0 {
-                    context.report(
-                        Kind::UnmodelledSetting,
-                        offset,
-                        "counting down, up and down, or once",
-                    );
+                    context.unmodelled_setting(offset, "counting down, up and down, or once");
                 }
-                self.words[CR1 as usize / 4] = value;
+                self.words[CR1] = value;
             }
             DIER => {
                 if value & !FLAGS != 0 {
-                    context.report(
-                        Kind::UnmodelledSetting,
-                        offset,
-                        "a trigger's or a DMA request's enable",
-                    );
+                    context.unmodelled_setting(offset, "a trigger's or a DMA request's enable");
                 }
-                self.words[DIER as usize / 4] = value;
+                self.words[DIER] = value;
             }
             CR2 | SMCR | CCMR_OUTPUT0 | CCMR_OUTPUT1 | CCER => {
                 if value != 0 {
-                    context.report(Kind::UnmodelledSetting, offset, "a channel's pin, a trigger");
+                    context.unmodelled_setting(offset, "a channel's pin, a trigger");
                 }
-                self.words[offset as usize / 4] = value;
+                self.words[offset] = value;
             }
-            PSC | ARR | CCR0..=CCR3 => self.words[offset as usize / 4] = value,
-            _ => {
-                context.unmodelled(offset);
-            }
+            PSC | ARR | CCR0..=CCR3 => self.words[offset] = value,
+            _ => context.unmodelled_write(offset),
         }
     }
 }

@@ -139,7 +139,7 @@ impl Usart {
     fn check_rate(&self, line: &dyn SerialLine, context: &mut Context) {
         let (own, other) = (self.baud_rate(), u64::from(line.baud_rate()));
         if own.abs_diff(other) * 100 > TOLERANCE * other {
-            context.report(Kind::Misconfigured, BRR, "another baud rate than the other end's");
+            context.misconfigured(BRR, "another baud rate than the other end's");
         }
     }
 
@@ -204,14 +204,13 @@ impl Usart {
                 self.cr1 = value;
                 let cr1 = self.cr1();
                 if value & 0xD000_1400 != 0 {
-                    context.report(
-                        Kind::UnmodelledSetting,
+                    context.unmodelled_setting(
                         offset,
                         "FIFO interrupts, parity, or other than eight bits",
                     );
                 }
                 if starts && self.brr < 16 {
-                    context.report(Kind::Misconfigured, offset, "switched on without a baud rate");
+                    context.misconfigured(offset, "switched on without a baud rate");
                 }
                 if starts && !has_pins {
                     context.report(Kind::PinNotConnected, offset, "a line is not at its pin");
@@ -221,8 +220,7 @@ impl Usart {
             }
             CR2 => {
                 if value != 0 {
-                    context.report(
-                        Kind::UnmodelledSetting,
+                    context.unmodelled_setting(
                         offset,
                         "other stop bits, LIN, a synchronous clock, swapped pins",
                     );
@@ -231,8 +229,7 @@ impl Usart {
             }
             CR3 => {
                 if value & !0x00C9 != 0 {
-                    context.report(
-                        Kind::UnmodelledSetting,
+                    context.unmodelled_setting(
                         offset,
                         "hardware flow control, smart card, FIFO thresholds",
                     );
@@ -240,7 +237,7 @@ impl Usart {
                 self.cr3 = value;
             }
             BRR if self.cr1().ue() => {
-                context.report(Kind::WriteProtected, offset, "the baud rate while the port is on")
+                context.write_protected(offset, "the baud rate while the port is on")
             }
             BRR => self.brr = value & 0xFFFF,
             RQR if bit(value, 3) => {
@@ -263,16 +260,10 @@ impl Usart {
                 self.send(context.now);
             }
             GTPR | RTOR | PRESC if value != 0 => {
-                context.report(
-                    Kind::UnmodelledSetting,
-                    offset,
-                    "a guard time, a time-out, a prescaler",
-                );
+                context.unmodelled_setting(offset, "a guard time, a time-out, a prescaler")
             }
             RQR | ISR | RDR | GTPR | RTOR | PRESC => {}
-            _ => {
-                context.unmodelled(offset);
-            }
+            _ => context.unmodelled_write(offset),
         }
     }
 }

@@ -3,7 +3,6 @@
 use crate::peripherals::Context;
 use crate::registers::registers;
 use crate::time::Time;
-use crate::violations::Kind;
 
 registers! { "IWDG": KR = 0x00, PR = 0x04, RLR = 0x08, SR = 0x0C, WINR = 0x10 }
 
@@ -120,16 +119,12 @@ impl Watchdog {
                 _ => self.is_open = false,
             },
             PR | RLR | WINR if !self.is_open => {
-                context.report(Kind::WriteProtected, offset, "the watchdog's registers are locked");
+                context.write_protected(offset, "the watchdog's registers are locked")
             }
             PR => (self.prescaler, self.arrives[0]) = (value & 7, arrives),
             RLR => (self.reload, self.arrives[1]) = (value & 0xFFF, arrives),
-            WINR if value & 0xFFF != 0xFFF => {
-                context.report(Kind::UnmodelledSetting, offset, "a window");
-            }
-            _ => {
-                context.unmodelled(offset);
-            }
+            WINR if value & 0xFFF != 0xFFF => context.unmodelled_setting(offset, "a window"),
+            _ => context.unmodelled_write(offset),
         }
         false
     }

@@ -22,6 +22,8 @@ use firmware::protocol::serial::{Packet, PacketDecoder};
 use firmware::system::faults::Event;
 use firmware::system::nv_storage::ParameterStore;
 use futures::executor::block_on;
+use std::cell::RefCell;
+use std::rc::Rc;
 
 /// Properties that vary between chips.
 #[derive(Clone, Copy, Debug)]
@@ -186,14 +188,14 @@ impl EmulatedBoard {
 fn devices(connections: &Connections, gripper: SharedGripper) -> Devices {
     let [first, second] = connections.buses.clone();
     Devices {
-        sensor_buses: [Box::new(first), Box::new(second)],
+        sensor_buses: [first, second],
         spi: [
-            Box::new(RotorSensor(gripper.clone())),
-            Box::new(InertialPins(connections.inertial.clone())),
+            Rc::new(RefCell::new(RotorSensor(gripper.clone()))),
+            Rc::new(RefCell::new(InertialPins(connections.inertial.clone()))),
         ],
-        drivetrain: Box::new(PowerStagePins(gripper)),
-        can: Box::new(connections.can.clone()),
-        serial: Box::new(connections.line.clone()),
+        drivetrain: Rc::new(RefCell::new(PowerStagePins(gripper))),
+        can: connections.can.clone(),
+        serial: connections.line.clone(),
     }
 }
 
