@@ -4,7 +4,7 @@
 //! RM0440, 3.3.3 (wait states of the flash memory). This is a model in classes: it adds the time of each
 //! instruction and contains neither the prefetch buffer, nor the write buffer, nor contention on the buses.
 
-use crate::core::instruction::Instruction;
+use crate::core::instruction::{FloatArithmetic, FloatUnary, Instruction};
 
 /// Addresses of the flash memory and its aliases of other sizes, on which wait states apply.
 const FLASH: std::ops::Range<u32> = 0x0800_0000..0x0810_0000;
@@ -122,28 +122,16 @@ impl CycleModel {
 
     /// Cycles of an instruction, without what depends on the state: taken branches and wait states.
     pub(super) fn timing(&self, instruction: &Instruction) -> Timing {
-        use Instruction as I;
+        use {FloatArithmetic as F, Instruction as I};
         match *instruction {
             I::LoadWord(..)
-            | I::LoadHalf(..)
-            | I::LoadByte(..)
-            | I::LoadSignedHalf(..)
-            | I::LoadSignedByte(..)
-            | I::LoadWordIndexed(..)
-            | I::LoadHalfIndexed(..)
-            | I::LoadByteIndexed(..)
-            | I::LoadSignedHalfIndexed(..)
-            | I::LoadSignedByteIndexed(..)
+            | I::Load(..)
+            | I::LoadIndexed(..)
             | I::LoadWriteBack(..)
-            | I::LoadLiteral(..)
-            | I::LoadLiteralPart(..) => self.single_transfer(self.load, true),
-            I::StoreWord(..)
-            | I::StoreHalf(..)
-            | I::StoreByte(..)
-            | I::StoreWordIndexed(..)
-            | I::StoreHalfIndexed(..)
-            | I::StoreByteIndexed(..)
-            | I::StoreWriteBack(..) => self.single_transfer(self.store, false),
+            | I::LoadLiteral(..) => self.single_transfer(self.load, true),
+            I::StoreWord(..) | I::Store(..) | I::StoreIndexed(..) | I::StoreWriteBack(..) => {
+                self.single_transfer(self.store, false)
+            }
             I::LoadToPc(..)
             | I::LoadToPcIndexed(..)
             | I::LoadToPcLiteral(..)
@@ -166,11 +154,16 @@ impl CycleModel {
             I::FloatLoadMultiple(_, words, _, _, _) | I::FloatStoreMultiple(_, words, _, _, _) => {
                 Timing::new(self.multiple + words)
             }
-            I::FloatMultiplyAdd(..)
-            | I::FloatMultiplySubtract(..)
-            | I::FloatNegatedMultiplyAdd(..)
-            | I::FloatNegatedMultiplySubtract(..) => Timing::new(self.float_multiply_add),
-            I::FloatDivide(..) | I::FloatSquareRoot(..) => Timing::new(self.float_divide),
+            I::FloatArithmetic(
+                F::MultiplyAdd
+                | F::MultiplySubtract
+                | F::NegatedMultiplyAdd
+                | F::NegatedMultiplySubtract,
+                ..,
+            ) => Timing::new(self.float_multiply_add),
+            I::FloatArithmetic(F::Divide, ..) | I::FloatUnary(FloatUnary::SquareRoot, ..) => {
+                Timing::new(self.float_divide)
+            }
             I::FloatPairFromCore(..) | I::FloatPairToCore(..) => Timing::new(self.float_pair),
             _ => Timing::new(self.base),
         }

@@ -5,11 +5,13 @@
 use crate::core::Width;
 use crate::core::arithmetic::NZCV;
 use crate::core::bus::Bus;
-use crate::core::instruction::{FloatRegister, MultipleMode, Register};
+use crate::core::instruction::{
+    FloatArithmetic, FloatRegister, FloatUnary, MultipleMode, Register,
+};
 use crate::core::state::{PC, State, Trap};
 
 /// Sign bit of a single-precision number.
-pub(super) const SIGN: u32 = 1 << 31;
+const SIGN: u32 = 1 << 31;
 const QUIET: u32 = 1 << 22;
 /// NaN of an invalid operation.
 const NAN: u32 = 0x7FC0_0000;
@@ -39,34 +41,45 @@ fn propagated<const N: usize>(operands: [u32; N]) -> u32 {
     find(is_signalling).or_else(|| find(is_nan)).map_or(NAN, |bits| bits | QUIET)
 }
 
-pub(super) fn add(a: u32, b: u32) -> u32 {
+fn add(a: u32, b: u32) -> u32 {
     result(float(a) + float(b), [a, b])
 }
 
-pub(super) fn subtract(a: u32, b: u32) -> u32 {
-    result(float(a) - float(b), [a, b])
-}
-
-pub(super) fn multiply(a: u32, b: u32) -> u32 {
+fn multiply(a: u32, b: u32) -> u32 {
     result(float(a) * float(b), [a, b])
 }
 
-pub(super) fn divide(a: u32, b: u32) -> u32 {
-    result(float(a) / float(b), [a, b])
+/// The new value of the destination, which had the value `d`.
+#[inline]
+pub(super) fn arithmetic(operation: FloatArithmetic, d: u32, n: u32, m: u32) -> u32 {
+    match operation {
+        FloatArithmetic::Add => add(n, m),
+        FloatArithmetic::Subtract => result(float(n) - float(m), [n, m]),
+        FloatArithmetic::Multiply => multiply(n, m),
+        FloatArithmetic::NegatedMultiply => multiply(n, m) ^ SIGN,
+        FloatArithmetic::Divide => result(float(n) / float(m), [n, m]),
+        FloatArithmetic::MultiplyAdd => add(d, multiply(n, m)),
+        FloatArithmetic::MultiplySubtract => add(d, multiply(n, m) ^ SIGN),
+        FloatArithmetic::NegatedMultiplyAdd => add(d ^ SIGN, multiply(n, m) ^ SIGN),
+        FloatArithmetic::NegatedMultiplySubtract => add(d ^ SIGN, multiply(n, m)),
+    }
 }
 
-pub(super) fn square_root(a: u32) -> u32 {
-    result(float(a).sqrt(), [a])
-}
-
-pub(super) fn from_integer(value: u32, unsigned: bool) -> u32 {
-    if unsigned { value as f32 } else { value as i32 as f32 }.to_bits()
-}
-
-/// Saturates; NaN becomes zero.
-pub(super) fn to_integer(a: u32, unsigned: bool, toward_zero: bool) -> u32 {
-    let value = if toward_zero { float(a) } else { float(a).round_ties_even() };
-    if unsigned { value as u32 } else { value as i32 as u32 }
+/// Conversions to an integer saturate; NaN becomes zero.
+#[inline]
+pub(super) fn unary(operation: FloatUnary, m: u32) -> u32 {
+    match operation {
+        FloatUnary::Move => m,
+        FloatUnary::Absolute => m & !SIGN,
+        FloatUnary::Negate => m ^ SIGN,
+        FloatUnary::SquareRoot => result(float(m).sqrt(), [m]),
+        FloatUnary::FromInteger { unsigned: true } => (m as f32).to_bits(),
+        FloatUnary::FromInteger { unsigned: false } => (m as i32 as f32).to_bits(),
+        FloatUnary::ToInteger { unsigned, toward_zero } => {
+            let value = if toward_zero { float(m) } else { float(m).round_ties_even() };
+            if unsigned { value as u32 } else { value as i32 as u32 }
+        }
+    }
 }
 
 impl State {

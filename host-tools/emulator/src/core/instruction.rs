@@ -211,6 +211,42 @@ pub(super) enum Hint {
     SendEvent,
 }
 
+/// Floating-point operations with two operands and, in four of them, the former value of the destination d.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum FloatArithmetic {
+    Add,
+    Subtract,
+    Multiply,
+    NegatedMultiply,
+    Divide,
+    /// VMLA: `d + n * m`, rounded twice.
+    MultiplyAdd,
+    /// VMLS: `d - n * m`, rounded twice.
+    MultiplySubtract,
+    /// VNMLA: `-d - n * m`, rounded twice.
+    NegatedMultiplyAdd,
+    /// VNMLS: `-d + n * m`, rounded twice.
+    NegatedMultiplySubtract,
+}
+
+/// Floating-point operations with one operand.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum FloatUnary {
+    Move,
+    Absolute,
+    Negate,
+    SquareRoot,
+    /// VCVT from an integer.
+    FromInteger {
+        unsigned: bool,
+    },
+    /// VCVT or VCVTR to an integer.
+    ToInteger {
+        unsigned: bool,
+        toward_zero: bool,
+    },
+}
+
 /// Whether an instruction sets condition flags.
 pub(super) type SetFlags = bool;
 /// Distance of a shift or rotation in bits; 0 to 32.
@@ -254,16 +290,8 @@ pub(super) enum Instruction {
     MoveRegister(Register, Register, SetFlags),
     AddRegister(Register, Register, Register, SetFlags),
     SubtractRegister(Register, Register, Register, SetFlags),
-    AddCarryRegister(Register, Register, Register, SetFlags),
-    SubtractCarryRegister(Register, Register, Register, SetFlags),
-    AndRegister(Register, Register, Register, SetFlags),
-    OrRegister(Register, Register, Register, SetFlags),
-    ExclusiveOrRegister(Register, Register, Register, SetFlags),
-    BitClearRegister(Register, Register, Register, SetFlags),
-    MoveNotRegister(Register, Register, SetFlags),
     CompareRegister(Register, Register),
     TestRegister(Register, Register),
-    AddShiftedLeft(Register, Register, Register, Amount, SetFlags),
     Shifted(DataOperation, Register, Register, Register, Shift, Amount, SetFlags),
     ShiftLeft(Register, Register, Amount, SetFlags),
     ShiftLogicalRight(Register, Register, Amount, SetFlags),
@@ -274,11 +302,7 @@ pub(super) enum Instruction {
     SignedBitField(Register, Register, u8, u8),
     UnsignedBitField(Register, Register, u8, u8),
     BitFieldInsert(Register, Register, u8, u8),
-    ExtendSignedByte(Register, Register, Amount),
-    ExtendSignedHalf(Register, Register, Amount),
-    ExtendUnsignedByte(Register, Register, Amount),
-    ExtendUnsignedHalf(Register, Register, Amount),
-    /// The extending additions and the extensions of two bytes; without addition n is the PC.
+    /// Extension, d, n, m, rotation; without addition n is the PC.
     ExtendAdd(Extension, Register, Register, Register, Amount),
     ReverseBytes(Register, Register),
     ReverseHalfwords(Register, Register),
@@ -325,28 +349,17 @@ pub(super) enum Instruction {
 
     // Loads and stores of one register: constant offset,
     LoadWord(Register, Register, Offset),
-    LoadHalf(Register, Register, Offset),
-    LoadByte(Register, Register, Offset),
-    LoadSignedHalf(Register, Register, Offset),
-    LoadSignedByte(Register, Register, Offset),
+    Load(LoadKind, Register, Register, Offset),
     StoreWord(Register, Register, Offset),
-    StoreHalf(Register, Register, Offset),
-    StoreByte(Register, Register, Offset),
+    Store(Width, Register, Register, Offset),
     // register offset, shifted left,
-    LoadWordIndexed(Register, Register, Register, Amount),
-    LoadHalfIndexed(Register, Register, Register, Amount),
-    LoadByteIndexed(Register, Register, Register, Amount),
-    LoadSignedHalfIndexed(Register, Register, Register, Amount),
-    LoadSignedByteIndexed(Register, Register, Register, Amount),
-    StoreWordIndexed(Register, Register, Register, Amount),
-    StoreHalfIndexed(Register, Register, Register, Amount),
-    StoreByteIndexed(Register, Register, Register, Amount),
+    LoadIndexed(LoadKind, Register, Register, Register, Amount),
+    StoreIndexed(Width, Register, Register, Register, Amount),
     // base register written back,
     LoadWriteBack(LoadKind, Register, Register, IndexMode, i16),
     StoreWriteBack(Width, Register, Register, IndexMode, i16),
     // relative to the PC, aligned to a word,
-    LoadLiteral(Register, Offset),
-    LoadLiteralPart(LoadKind, Register, Offset),
+    LoadLiteral(LoadKind, Register, Offset),
     // a word loaded into the PC.
     LoadToPc(Register, Offset),
     LoadToPcIndexed(Register, Register, Amount),
@@ -390,31 +403,12 @@ pub(super) enum Instruction {
     Unsupported,
 
     // Floating point.
-    FloatAdd(FloatRegister, FloatRegister, FloatRegister),
-    FloatSubtract(FloatRegister, FloatRegister, FloatRegister),
-    FloatMultiply(FloatRegister, FloatRegister, FloatRegister),
-    FloatNegatedMultiply(FloatRegister, FloatRegister, FloatRegister),
-    FloatDivide(FloatRegister, FloatRegister, FloatRegister),
-    /// VMLA: `d + n * m`, rounded twice.
-    FloatMultiplyAdd(FloatRegister, FloatRegister, FloatRegister),
-    /// VMLS: `d - n * m`, rounded twice.
-    FloatMultiplySubtract(FloatRegister, FloatRegister, FloatRegister),
-    /// VNMLA: `-d - n * m`, rounded twice.
-    FloatNegatedMultiplyAdd(FloatRegister, FloatRegister, FloatRegister),
-    /// VNMLS: `-d + n * m`, rounded twice.
-    FloatNegatedMultiplySubtract(FloatRegister, FloatRegister, FloatRegister),
-    FloatSquareRoot(FloatRegister, FloatRegister),
-    FloatAbsolute(FloatRegister, FloatRegister),
-    FloatNegate(FloatRegister, FloatRegister),
-    FloatMove(FloatRegister, FloatRegister),
+    FloatArithmetic(FloatArithmetic, FloatRegister, FloatRegister, FloatRegister),
+    FloatUnary(FloatUnary, FloatRegister, FloatRegister),
     FloatMoveImmediate(FloatRegister, u32),
     /// VCMP or VCMPE.
     FloatCompare(FloatRegister, FloatRegister),
     FloatCompareZero(FloatRegister),
-    /// VCVT from an integer, which may be unsigned.
-    FloatFromInteger(FloatRegister, FloatRegister, bool),
-    /// VCVT or VCVTR to an integer: d, m, unsigned, rounded toward zero.
-    FloatToInteger(FloatRegister, FloatRegister, bool, bool),
     /// VLDR: d, n, double word, offset.
     FloatLoad(FloatRegister, Register, bool, i16),
     /// VSTR: d, n, double word, offset.

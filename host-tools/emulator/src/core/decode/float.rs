@@ -1,7 +1,9 @@
 //! Floating-point extension, FPv4-SP (DDI0403E A6).
 
 use crate::core::decode::{Decoded, Invalid, bit, bits, general, require};
-use crate::core::instruction::{FloatRegister, Instruction, MultipleMode, Register};
+use crate::core::instruction::{
+    FloatArithmetic, FloatRegister, FloatUnary, Instruction, MultipleMode, Register,
+};
 
 /// Any instruction of the coprocessor space.
 pub(super) fn decode(h: u32, h2: u32) -> Decoded {
@@ -45,26 +47,27 @@ fn data_processing(h: u32, h2: u32) -> Decoded {
     let n = register(h, 0, h2, 7);
     let m = register(h2, 0, h2, 5);
     let second = bit(h2, 6);
-    Ok(match (bit(h, 7), bits(h, 4, 2), second) {
-        (false, 0b00, false) => Instruction::FloatMultiplyAdd(d, n, m),
-        (false, 0b00, true) => Instruction::FloatMultiplySubtract(d, n, m),
-        (false, 0b01, false) => Instruction::FloatNegatedMultiplySubtract(d, n, m),
-        (false, 0b01, true) => Instruction::FloatNegatedMultiplyAdd(d, n, m),
-        (false, 0b10, false) => Instruction::FloatMultiply(d, n, m),
-        (false, 0b10, true) => Instruction::FloatNegatedMultiply(d, n, m),
-        (false, 0b11, false) => Instruction::FloatAdd(d, n, m),
-        (false, 0b11, true) => Instruction::FloatSubtract(d, n, m),
-        (true, 0b00, false) => Instruction::FloatDivide(d, n, m),
+    let operation = match (bit(h, 7), bits(h, 4, 2), second) {
+        (false, 0b00, false) => FloatArithmetic::MultiplyAdd,
+        (false, 0b00, true) => FloatArithmetic::MultiplySubtract,
+        (false, 0b01, false) => FloatArithmetic::NegatedMultiplySubtract,
+        (false, 0b01, true) => FloatArithmetic::NegatedMultiplyAdd,
+        (false, 0b10, false) => FloatArithmetic::Multiply,
+        (false, 0b10, true) => FloatArithmetic::NegatedMultiply,
+        (false, 0b11, false) => FloatArithmetic::Add,
+        (false, 0b11, true) => FloatArithmetic::Subtract,
+        (true, 0b00, false) => FloatArithmetic::Divide,
         // Rounded once: VFMA and the like.
         (true, 0b01 | 0b10, _) => return Err(Invalid::Unpredictable),
         (true, 0b11, false) => {
             require(!bit(h2, 7) && !bit(h2, 5))?;
             let value = expand_constant(bits(h, 0, 4) << 4 | bits(h2, 0, 4));
-            Instruction::FloatMoveImmediate(d, value)
+            return Ok(Instruction::FloatMoveImmediate(d, value));
         }
         (true, 0b11, true) => return one_operand(h, h2, d, m),
         _ => return Err(Invalid::Undefined),
-    })
+    };
+    Ok(Instruction::FloatArithmetic(operation, d, n, m))
 }
 
 /// `VFPExpandImm` (A6.4.1): sign, inverted exponent bit replicated, two exponent and four fraction
@@ -77,25 +80,24 @@ const fn expand_constant(field: u32) -> u32 {
 fn one_operand(h: u32, h2: u32, d: FloatRegister, m: FloatRegister) -> Decoded {
     let top = bit(h2, 7);
     let operation = bits(h, 0, 4);
-    Ok(match operation {
-        0b0000 if top => Instruction::FloatAbsolute(d, m),
-        0b0000 => Instruction::FloatMove(d, m),
-        0b0001 if top => Instruction::FloatSquareRoot(d, m),
-        0b0001 => Instruction::FloatNegate(d, m),
-        0b0100 => Instruction::FloatCompare(d, m),
+    let operation = match operation {
+        0b0000 if top => FloatUnary::Absolute,
+        0b0000 => FloatUnary::Move,
+        0b0001 if top => FloatUnary::SquareRoot,
+        0b0001 => FloatUnary::Negate,
+        0b0100 => return Ok(Instruction::FloatCompare(d, m)),
         0b0101 => {
             require(bits(h2, 0, 4) == 0 && !bit(h2, 5))?;
-            Instruction::FloatCompareZero(d)
+            return Ok(Instruction::FloatCompareZero(d));
         }
-        0b1000 => Instruction::FloatFromInteger(d, m, !top),
-        0b1100 | 0b1101 => {
-            let unsigned = operation == 0b1100;
-            Instruction::FloatToInteger(d, m, unsigned, top)
-        }
+        0b1000 => FloatUnary::FromInteger { unsigned: !top },
+        0b1100 => FloatUnary::ToInteger { unsigned: true, toward_zero: top },
+        0b1101 => FloatUnary::ToInteger { unsigned: false, toward_zero: top },
         // Half precision and fixed point.
         0b0010 | 0b0011 | 0b1010 | 0b1011 | 0b1110 | 0b1111 => return Err(Invalid::Unpredictable),
         _ => return Err(Invalid::Undefined),
-    })
+    };
+    Ok(Instruction::FloatUnary(operation, d, m))
 }
 
 /// A6.5 and the transfers of two core registers (A6.7).

@@ -1,9 +1,10 @@
 //! 16-bit instructions (DDI0403E A5.2).
 
+use crate::core::Width;
 use crate::core::arithmetic::{Condition, Shift, sign_extend};
 use crate::core::decode::{Decoded, Invalid, bit, bits, require};
 use crate::core::instruction::{
-    DataOperation, Hint, Instruction, LogicalFlags, MultipleMode, Register,
+    DataOperation, Extension, Hint, Instruction, LoadKind, LogicalFlags, MultipleMode, Register,
 };
 
 pub(super) fn decode(h: u32, inside_it_block: bool) -> Decoded {
@@ -15,7 +16,8 @@ pub(super) fn decode(h: u32, inside_it_block: bool) -> Decoded {
         0b01000 if !bit(h, 10) => Ok(data_processing(h, flags)),
         0b01000 => special(h),
         0b01001 => {
-            Ok(Instruction::LoadLiteral(Register::low_field(h, 8), bits(h, 0, 8) as i32 * 4))
+            let (t, offset) = (Register::low_field(h, 8), bits(h, 0, 8) as i32 * 4);
+            Ok(Instruction::LoadLiteral(LoadKind::Word, t, offset))
         }
         0b01010 | 0b01011 => Ok(load_store_indexed(h)),
         0b01100..=0b10011 => Ok(load_store(h)),
@@ -79,14 +81,15 @@ fn data_processing(h: u32, flags: bool) -> Instruction {
     let (d, m) = (Register::low_field(h, 0), Register::low_field(h, 3));
     let n = d;
     let shifted_by = |shift| Instruction::ShiftByRegister(shift, d, n, m, flags);
+    let plain = |operation| Instruction::Shifted(operation, d, n, m, Shift::Left, 0, flags);
     match bits(h, 6, 4) {
-        0b0000 => Instruction::AndRegister(d, n, m, flags),
-        0b0001 => Instruction::ExclusiveOrRegister(d, n, m, flags),
+        0b0000 => plain(DataOperation::And),
+        0b0001 => plain(DataOperation::ExclusiveOr),
         0b0010 => shifted_by(Shift::Left),
         0b0011 => shifted_by(Shift::LogicalRight),
         0b0100 => shifted_by(Shift::ArithmeticRight),
-        0b0101 => Instruction::AddCarryRegister(d, n, m, flags),
-        0b0110 => Instruction::SubtractCarryRegister(d, n, m, flags),
+        0b0101 => plain(DataOperation::AddCarry),
+        0b0110 => plain(DataOperation::SubtractCarry),
         0b0111 => shifted_by(Shift::RotateRight),
         0b1000 => Instruction::TestRegister(n, m),
         0b1001 => Instruction::ReverseSubtractImmediate(d, m, 0, flags),
@@ -95,10 +98,10 @@ fn data_processing(h: u32, flags: bool) -> Instruction {
             let operation = DataOperation::CompareNegative;
             Instruction::Shifted(operation, d, n, m, Shift::Left, 0, true)
         }
-        0b1100 => Instruction::OrRegister(d, n, m, flags),
+        0b1100 => plain(DataOperation::Or),
         0b1101 => Instruction::Multiply(d, m, d, flags),
-        0b1110 => Instruction::BitClearRegister(d, n, m, flags),
-        _ => Instruction::MoveNotRegister(d, m, flags),
+        0b1110 => plain(DataOperation::BitClear),
+        _ => plain(DataOperation::MoveNot),
     }
 }
 
@@ -138,14 +141,14 @@ fn load_store_indexed(h: u32) -> Instruction {
         (Register::low_field(h, 0), Register::low_field(h, 3), Register::low_field(h, 6));
     let shift = 0;
     match bits(h, 9, 3) {
-        0b000 => Instruction::StoreWordIndexed(t, n, m, shift),
-        0b001 => Instruction::StoreHalfIndexed(t, n, m, shift),
-        0b010 => Instruction::StoreByteIndexed(t, n, m, shift),
-        0b011 => Instruction::LoadSignedByteIndexed(t, n, m, shift),
-        0b100 => Instruction::LoadWordIndexed(t, n, m, shift),
-        0b101 => Instruction::LoadHalfIndexed(t, n, m, shift),
-        0b110 => Instruction::LoadByteIndexed(t, n, m, shift),
-        _ => Instruction::LoadSignedHalfIndexed(t, n, m, shift),
+        0b000 => Instruction::StoreIndexed(Width::Word, t, n, m, shift),
+        0b001 => Instruction::StoreIndexed(Width::Half, t, n, m, shift),
+        0b010 => Instruction::StoreIndexed(Width::Byte, t, n, m, shift),
+        0b011 => Instruction::LoadIndexed(LoadKind::SignedByte, t, n, m, shift),
+        0b100 => Instruction::LoadIndexed(LoadKind::Word, t, n, m, shift),
+        0b101 => Instruction::LoadIndexed(LoadKind::Half, t, n, m, shift),
+        0b110 => Instruction::LoadIndexed(LoadKind::Byte, t, n, m, shift),
+        _ => Instruction::LoadIndexed(LoadKind::SignedHalf, t, n, m, shift),
     }
 }
 
@@ -156,10 +159,10 @@ fn load_store(h: u32) -> Instruction {
     match bits(h, 11, 5) {
         0b01100 => Instruction::StoreWord(t, n, offset * 4),
         0b01101 => Instruction::LoadWord(t, n, offset * 4),
-        0b01110 => Instruction::StoreByte(t, n, offset),
-        0b01111 => Instruction::LoadByte(t, n, offset),
-        0b10000 => Instruction::StoreHalf(t, n, offset * 2),
-        0b10001 => Instruction::LoadHalf(t, n, offset * 2),
+        0b01110 => Instruction::Store(Width::Byte, t, n, offset),
+        0b01111 => Instruction::Load(LoadKind::Byte, t, n, offset),
+        0b10000 => Instruction::Store(Width::Half, t, n, offset * 2),
+        0b10001 => Instruction::Load(LoadKind::Half, t, n, offset * 2),
         0b10010 => Instruction::StoreWord(stack_t, Register::SP, stack_offset),
         _ => Instruction::LoadWord(stack_t, Register::SP, stack_offset),
     }
@@ -183,10 +186,10 @@ fn miscellaneous(h: u32, inside_it_block: bool) -> Decoded {
             Instruction::CompareBranch(d, bit(h, 11), offset)
         }
         0b0010 => match bits(h, 6, 2) {
-            0b00 => Instruction::ExtendSignedHalf(d, m, 0),
-            0b01 => Instruction::ExtendSignedByte(d, m, 0),
-            0b10 => Instruction::ExtendUnsignedHalf(d, m, 0),
-            _ => Instruction::ExtendUnsignedByte(d, m, 0),
+            0b00 => Instruction::ExtendAdd(Extension::SignedHalf, d, Register::PC, m, 0),
+            0b01 => Instruction::ExtendAdd(Extension::SignedByte, d, Register::PC, m, 0),
+            0b10 => Instruction::ExtendAdd(Extension::UnsignedHalf, d, Register::PC, m, 0),
+            _ => Instruction::ExtendAdd(Extension::UnsignedByte, d, Register::PC, m, 0),
         },
         0b0100 | 0b0101 => {
             let list = (bits(h, 0, 8) | bits(h, 8, 1) << 14) as u16;

@@ -169,40 +169,18 @@ fn load(h: u32, h2: u32, kind: LoadKind, address: Address) -> Decoded {
     let to_pc = t == Register::PC;
     Ok(match (address, kind) {
         (Address::Literal(offset), LoadKind::Word) if to_pc => Instruction::LoadToPcLiteral(offset),
-        (Address::Literal(offset), LoadKind::Word) => Instruction::LoadLiteral(t, offset),
-        (Address::Literal(offset), _) => Instruction::LoadLiteralPart(kind, t, offset),
+        (Address::Literal(offset), _) => Instruction::LoadLiteral(kind, t, offset),
         (Address::WriteBack { mode, offset }, _) => {
             require(n != t)?;
             Instruction::LoadWriteBack(kind, t, n, mode, offset)
         }
         (Address::Offset(offset), LoadKind::Word) if to_pc => Instruction::LoadToPc(n, offset),
         (Address::Offset(offset), LoadKind::Word) => Instruction::LoadWord(t, n, offset),
-        (Address::Offset(offset), LoadKind::Half) => Instruction::LoadHalf(t, n, offset),
-        (Address::Offset(offset), LoadKind::Byte) => Instruction::LoadByte(t, n, offset),
-        (Address::Offset(offset), LoadKind::SignedHalf) => {
-            Instruction::LoadSignedHalf(t, n, offset)
-        }
-        (Address::Offset(offset), LoadKind::SignedByte) => {
-            Instruction::LoadSignedByte(t, n, offset)
-        }
+        (Address::Offset(offset), _) => Instruction::Load(kind, t, n, offset),
         (Address::Indexed { m, shift }, LoadKind::Word) if to_pc => {
             Instruction::LoadToPcIndexed(n, m, shift)
         }
-        (Address::Indexed { m, shift }, LoadKind::Word) => {
-            Instruction::LoadWordIndexed(t, n, m, shift)
-        }
-        (Address::Indexed { m, shift }, LoadKind::Half) => {
-            Instruction::LoadHalfIndexed(t, n, m, shift)
-        }
-        (Address::Indexed { m, shift }, LoadKind::Byte) => {
-            Instruction::LoadByteIndexed(t, n, m, shift)
-        }
-        (Address::Indexed { m, shift }, LoadKind::SignedHalf) => {
-            Instruction::LoadSignedHalfIndexed(t, n, m, shift)
-        }
-        (Address::Indexed { m, shift }, LoadKind::SignedByte) => {
-            Instruction::LoadSignedByteIndexed(t, n, m, shift)
-        }
+        (Address::Indexed { m, shift }, _) => Instruction::LoadIndexed(kind, t, n, m, shift),
     })
 }
 
@@ -216,16 +194,7 @@ fn store(h: u32, h2: u32, width: Width, address: Address) -> Decoded {
             Instruction::StoreWriteBack(width, t, n, mode, offset)
         }
         (Address::Offset(offset), Width::Word) => Instruction::StoreWord(t, n, offset),
-        (Address::Offset(offset), Width::Half) => Instruction::StoreHalf(t, n, offset),
-        (Address::Offset(offset), Width::Byte) => Instruction::StoreByte(t, n, offset),
-        (Address::Indexed { m, shift }, Width::Word) => {
-            Instruction::StoreWordIndexed(t, n, m, shift)
-        }
-        (Address::Indexed { m, shift }, Width::Half) => {
-            Instruction::StoreHalfIndexed(t, n, m, shift)
-        }
-        (Address::Indexed { m, shift }, Width::Byte) => {
-            Instruction::StoreByteIndexed(t, n, m, shift)
-        }
+        (Address::Offset(offset), _) => Instruction::Store(width, t, n, offset),
+        (Address::Indexed { m, shift }, _) => Instruction::StoreIndexed(width, t, n, m, shift),
     })
 }

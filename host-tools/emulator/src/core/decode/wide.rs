@@ -84,20 +84,8 @@ fn data_processing(
     match (operation, shift, amount) {
         (DataOperation::Add, Shift::Left, 0) => Instruction::AddRegister(d, n, m, flags),
         (DataOperation::Subtract, Shift::Left, 0) => Instruction::SubtractRegister(d, n, m, flags),
-        (DataOperation::AddCarry, Shift::Left, 0) => Instruction::AddCarryRegister(d, n, m, flags),
-        (DataOperation::SubtractCarry, Shift::Left, 0) => {
-            Instruction::SubtractCarryRegister(d, n, m, flags)
-        }
-        (DataOperation::And, Shift::Left, 0) => Instruction::AndRegister(d, n, m, flags),
-        (DataOperation::Or, Shift::Left, 0) => Instruction::OrRegister(d, n, m, flags),
-        (DataOperation::ExclusiveOr, Shift::Left, 0) => {
-            Instruction::ExclusiveOrRegister(d, n, m, flags)
-        }
-        (DataOperation::BitClear, Shift::Left, 0) => Instruction::BitClearRegister(d, n, m, flags),
-        (DataOperation::MoveNot, Shift::Left, 0) => Instruction::MoveNotRegister(d, m, flags),
         (DataOperation::Compare, Shift::Left, 0) => Instruction::CompareRegister(n, m),
         (DataOperation::Test, Shift::Left, 0) => Instruction::TestRegister(n, m),
-        (DataOperation::Add, Shift::Left, _) => Instruction::AddShiftedLeft(d, n, m, amount, flags),
         _ => Instruction::Shifted(operation, d, n, m, shift, amount, flags),
     }
 }
@@ -390,13 +378,7 @@ fn extend(h: u32, h2: u32) -> Decoded {
     let n = Register::field(h, 0);
     require(n != Register::SP)?;
     let rotation = bits(h2, 4, 2) as u8 * 8;
-    Ok(match (n, extension) {
-        (Register::PC, Extension::SignedHalf) => Instruction::ExtendSignedHalf(d, m, rotation),
-        (Register::PC, Extension::UnsignedHalf) => Instruction::ExtendUnsignedHalf(d, m, rotation),
-        (Register::PC, Extension::SignedByte) => Instruction::ExtendSignedByte(d, m, rotation),
-        (Register::PC, Extension::UnsignedByte) => Instruction::ExtendUnsignedByte(d, m, rotation),
-        _ => Instruction::ExtendAdd(extension, d, n, m, rotation),
-    })
+    Ok(Instruction::ExtendAdd(extension, d, n, m, rotation))
 }
 
 /// A5.3.13 and A5.3.14; exchanging and halving ones are not modelled.

@@ -45,6 +45,7 @@ impl State {
         (address, moved)
     }
 
+    #[inline]
     pub(super) fn load_kind<B: Bus>(
         &mut self,
         bus: &mut B,

@@ -21,7 +21,7 @@ use crate::core::arithmetic::{
     shift_with_carry, sign_extend, subtract,
 };
 use crate::core::bus::Bus;
-use crate::core::float::{self, SIGN};
+use crate::core::float;
 use crate::core::instruction::{IndexMode, Instruction, Register};
 use crate::core::state::{Fault, LR, PC, SP, State, Trap};
 use data::field_mask;
@@ -101,33 +101,10 @@ impl State {
             I::SubtractRegister(d, n, m, flags) => {
                 self.finish(d, flags, subtract(self.read(n), self.read(m)));
             }
-            I::AddCarryRegister(d, n, m, flags) => {
-                self.finish(d, flags, add_with_carry(self.read(n), self.read(m), self.carry()));
-            }
-            I::SubtractCarryRegister(d, n, m, flags) => {
-                self.finish(d, flags, add_with_carry(self.read(n), !self.read(m), self.carry()));
-            }
-            I::AndRegister(d, n, m, flags) => {
-                self.finish_logical(d, flags, self.read(n) & self.read(m));
-            }
-            I::OrRegister(d, n, m, flags) => {
-                self.finish_logical(d, flags, self.read(n) | self.read(m));
-            }
-            I::ExclusiveOrRegister(d, n, m, flags) => {
-                self.finish_logical(d, flags, self.read(n) ^ self.read(m));
-            }
-            I::BitClearRegister(d, n, m, flags) => {
-                self.finish_logical(d, flags, self.read(n) & !self.read(m));
-            }
-            I::MoveNotRegister(d, m, flags) => self.finish_logical(d, flags, !self.read(m)),
             I::CompareRegister(n, m) => {
                 self.set_nzcv(subtract(self.read(n), self.read(m)).1);
             }
             I::TestRegister(n, m) => self.set_nz(self.read(n) & self.read(m)),
-            I::AddShiftedLeft(d, n, m, amount, flags) => {
-                let operand = self.read(m) << (amount & 31);
-                self.finish(d, flags, add_with_carry(self.read(n), operand, false));
-            }
             I::Shifted(operation, d, n, m, shift, amount, flags) => {
                 self.shifted(operation, (d, n, m), shift, amount, flags);
             }
@@ -154,18 +131,6 @@ impl State {
                 let field = field_mask(width) << (low & 31);
                 let value = self.read(n) << (low & 31);
                 self.write(d, self.read(d) & !field | value & field);
-            }
-            I::ExtendSignedByte(d, m, rotation) => {
-                self.write(d, self.rotated(m, rotation) as i8 as u32);
-            }
-            I::ExtendSignedHalf(d, m, rotation) => {
-                self.write(d, self.rotated(m, rotation) as i16 as u32);
-            }
-            I::ExtendUnsignedByte(d, m, rotation) => {
-                self.write(d, self.rotated(m, rotation) & 0xFF);
-            }
-            I::ExtendUnsignedHalf(d, m, rotation) => {
-                self.write(d, self.rotated(m, rotation) & 0xFFFF);
             }
             I::ExtendAdd(extension, d, n, m, rotation) => {
                 self.extend_add(extension, d, n, self.rotated(m, rotation));
@@ -263,59 +228,22 @@ impl State {
                 let value = self.load(bus, self.at(n, offset), Width::Word)?;
                 self.write_any(t, value);
             }
-            I::LoadHalf(t, n, offset) => {
-                let value = self.load(bus, self.at(n, offset), Width::Half)?;
+            I::Load(kind, t, n, offset) => {
+                let value = self.load_kind(bus, kind, self.at(n, offset))?;
                 self.write(t, value);
-            }
-            I::LoadByte(t, n, offset) => {
-                let value = self.load(bus, self.at(n, offset), Width::Byte)?;
-                self.write(t, value);
-            }
-            I::LoadSignedHalf(t, n, offset) => {
-                let value = self.load(bus, self.at(n, offset), Width::Half)?;
-                self.write(t, value as i16 as u32);
-            }
-            I::LoadSignedByte(t, n, offset) => {
-                let value = self.load(bus, self.at(n, offset), Width::Byte)?;
-                self.write(t, value as i8 as u32);
             }
             I::StoreWord(t, n, offset) => {
                 self.store(bus, self.at(n, offset), Width::Word, self.read(t))?;
             }
-            I::StoreHalf(t, n, offset) => {
-                self.store(bus, self.at(n, offset), Width::Half, self.read(t))?;
+            I::Store(width, t, n, offset) => {
+                self.store(bus, self.at(n, offset), width, self.read(t))?;
             }
-            I::StoreByte(t, n, offset) => {
-                self.store(bus, self.at(n, offset), Width::Byte, self.read(t))?;
-            }
-            I::LoadWordIndexed(t, n, m, shift) => {
-                let value = self.load(bus, self.indexed(n, m, shift), Width::Word)?;
+            I::LoadIndexed(kind, t, n, m, shift) => {
+                let value = self.load_kind(bus, kind, self.indexed(n, m, shift))?;
                 self.write_any(t, value);
             }
-            I::LoadHalfIndexed(t, n, m, shift) => {
-                let value = self.load(bus, self.indexed(n, m, shift), Width::Half)?;
-                self.write(t, value);
-            }
-            I::LoadByteIndexed(t, n, m, shift) => {
-                let value = self.load(bus, self.indexed(n, m, shift), Width::Byte)?;
-                self.write(t, value);
-            }
-            I::LoadSignedHalfIndexed(t, n, m, shift) => {
-                let value = self.load(bus, self.indexed(n, m, shift), Width::Half)?;
-                self.write(t, value as i16 as u32);
-            }
-            I::LoadSignedByteIndexed(t, n, m, shift) => {
-                let value = self.load(bus, self.indexed(n, m, shift), Width::Byte)?;
-                self.write(t, value as i8 as u32);
-            }
-            I::StoreWordIndexed(t, n, m, shift) => {
-                self.store(bus, self.indexed(n, m, shift), Width::Word, self.read(t))?;
-            }
-            I::StoreHalfIndexed(t, n, m, shift) => {
-                self.store(bus, self.indexed(n, m, shift), Width::Half, self.read(t))?;
-            }
-            I::StoreByteIndexed(t, n, m, shift) => {
-                self.store(bus, self.indexed(n, m, shift), Width::Byte, self.read(t))?;
+            I::StoreIndexed(width, t, n, m, shift) => {
+                self.store(bus, self.indexed(n, m, shift), width, self.read(t))?;
             }
             I::LoadWriteBack(kind, t, n, mode, offset) => {
                 let (address, base) = self.write_back_address(n, mode, offset);
@@ -334,13 +262,9 @@ impl State {
                 self.store(bus, address, width, self.read(t))?;
                 self.write_any(n, base);
             }
-            I::LoadLiteral(t, offset) => {
-                let value = self.load(bus, self.literal(offset), Width::Word)?;
-                self.write_any(t, value);
-            }
-            I::LoadLiteralPart(kind, t, offset) => {
+            I::LoadLiteral(kind, t, offset) => {
                 let value = self.load_kind(bus, kind, self.literal(offset))?;
-                self.write(t, value);
+                self.write_any(t, value);
             }
             I::LoadToPc(n, offset) => {
                 let target = self.load(bus, self.at(n, offset), Width::Word)?;
@@ -414,63 +338,14 @@ impl State {
             I::NoCoprocessor => return Err(Trap::Fault(Fault::NoCoprocessor)),
             I::Unsupported => return Err(Trap::Unsupported),
 
-            I::FloatAdd(d, n, m) => {
+            I::FloatArithmetic(operation, d, n, m) => {
                 self.check_float(bus)?;
-                self.s[d.index()] = float::add(self.s[n.index()], self.s[m.index()]);
+                let [old, n, m] = [d, n, m].map(|register| self.s[register.index()]);
+                self.s[d.index()] = float::arithmetic(operation, old, n, m);
             }
-            I::FloatSubtract(d, n, m) => {
+            I::FloatUnary(operation, d, m) => {
                 self.check_float(bus)?;
-                self.s[d.index()] = float::subtract(self.s[n.index()], self.s[m.index()]);
-            }
-            I::FloatMultiply(d, n, m) => {
-                self.check_float(bus)?;
-                self.s[d.index()] = float::multiply(self.s[n.index()], self.s[m.index()]);
-            }
-            I::FloatNegatedMultiply(d, n, m) => {
-                self.check_float(bus)?;
-                let product = float::multiply(self.s[n.index()], self.s[m.index()]);
-                self.s[d.index()] = product ^ SIGN;
-            }
-            I::FloatDivide(d, n, m) => {
-                self.check_float(bus)?;
-                self.s[d.index()] = float::divide(self.s[n.index()], self.s[m.index()]);
-            }
-            I::FloatMultiplyAdd(d, n, m) => {
-                self.check_float(bus)?;
-                let product = float::multiply(self.s[n.index()], self.s[m.index()]);
-                self.s[d.index()] = float::add(self.s[d.index()], product);
-            }
-            I::FloatMultiplySubtract(d, n, m) => {
-                self.check_float(bus)?;
-                let product = float::multiply(self.s[n.index()], self.s[m.index()]);
-                let negated = product ^ SIGN;
-                self.s[d.index()] = float::add(self.s[d.index()], negated);
-            }
-            I::FloatNegatedMultiplyAdd(d, n, m) => {
-                self.check_float(bus)?;
-                let product = float::multiply(self.s[n.index()], self.s[m.index()]);
-                self.s[d.index()] = float::add(self.s[d.index()] ^ SIGN, product ^ SIGN);
-            }
-            I::FloatNegatedMultiplySubtract(d, n, m) => {
-                self.check_float(bus)?;
-                let product = float::multiply(self.s[n.index()], self.s[m.index()]);
-                self.s[d.index()] = float::add(self.s[d.index()] ^ SIGN, product);
-            }
-            I::FloatSquareRoot(d, m) => {
-                self.check_float(bus)?;
-                self.s[d.index()] = float::square_root(self.s[m.index()]);
-            }
-            I::FloatAbsolute(d, m) => {
-                self.check_float(bus)?;
-                self.s[d.index()] = self.s[m.index()] & !SIGN;
-            }
-            I::FloatNegate(d, m) => {
-                self.check_float(bus)?;
-                self.s[d.index()] = self.s[m.index()] ^ SIGN;
-            }
-            I::FloatMove(d, m) => {
-                self.check_float(bus)?;
-                self.s[d.index()] = self.s[m.index()];
+                self.s[d.index()] = float::unary(operation, self.s[m.index()]);
             }
             I::FloatMoveImmediate(d, value) => {
                 self.check_float(bus)?;
@@ -483,15 +358,6 @@ impl State {
             I::FloatCompareZero(d) => {
                 self.check_float(bus)?;
                 self.float_compare(self.s[d.index()], 0);
-            }
-            I::FloatFromInteger(d, m, unsigned) => {
-                self.check_float(bus)?;
-                self.s[d.index()] = float::from_integer(self.s[m.index()], unsigned);
-            }
-            I::FloatToInteger(d, m, unsigned, toward_zero) => {
-                self.check_float(bus)?;
-                let operand = self.s[m.index()];
-                self.s[d.index()] = float::to_integer(operand, unsigned, toward_zero);
             }
             I::FloatLoad(d, n, double, offset) => {
                 self.check_float(bus)?;
