@@ -201,7 +201,6 @@ mod tests {
         adc::OFFSETS,
         clocks::OFFSETS,
         dma::OFFSETS,
-        exti::OFFSETS,
         fdcan::OFFSETS,
         flash::OFFSETS,
         gpio::OFFSETS,

@@ -15,18 +15,19 @@
 //!
 //! # Not modelled
 //!
-//! - Unprivileged mode, the process stack, FAULTMASK, subpriorities, SVCall, PendSV and SysTick, the handlers of MemManage, BusFault
-//!   and UsageFault (all faults are HardFaults), a vector table elsewhere, SEVONPEND and SLEEPONEXIT, DWT: no image uses them. Their
-//!   registers are absent.
+//! - Unprivileged mode, the process stack, FAULTMASK, subpriorities, SVCall, PendSV and SysTick, a vector table
+//!   elsewhere, SEVONPEND and SLEEPONEXIT, DWT: no image uses them. Their registers are absent. Without the
+//!   handlers of MemManage, BusFault and UsageFault every fault is a HardFault.
 //! - The write buffer: a refused store is a precise fault at its instruction, where the chip mostly
 //!   reports an imprecise one a few instructions later.
 //! - The prefetch of instructions: a store into executed memory has its effect at once, other changes
 //!   with [`Bus::take_modified_code`].
 //! - Interruption in the middle of load and store multiple (the ICI bits are always zero).
 //! - Bit-band aliases, the debugger, and BKPT as a fault: it stops the core with [`Stop::Breakpoint`].
-//! - Modes and cumulative exceptions of floating point, half precision, fixed point, fused multiplication: the FPSCR has flags only.
-//! - SEL and the flags GE of parallel arithmetic, its exchanging and halving forms, SSAT16, USAT16, USAD8, SMLSD, SMLALxy, SMLALD,
-//!   SMLSLD, QDADD, QDSUB: no image uses them.
+//! - Modes and cumulative exceptions of floating point, half precision, fixed point, fused multiplication: the FPSCR
+//!   has flags only.
+//! - SEL and the flags GE of parallel arithmetic, its exchanging and halving forms, SSAT16, USAT16, USAD8, SMLSD,
+//!   SMLALxy, SMLALD, SMLSLD, QDADD, QDSUB: no image uses them.
 //! - Instructions of these, and those whose behaviour the architecture leaves unpredictable: they stop the core with
 //!   [`Stop::Unsupported`].
 

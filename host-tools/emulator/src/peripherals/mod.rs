@@ -9,7 +9,6 @@
 pub mod adc;
 pub mod clocks;
 pub mod dma;
-pub mod exti;
 pub mod fdcan;
 pub mod flash;
 pub mod gpio;

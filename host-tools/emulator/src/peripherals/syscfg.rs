@@ -37,12 +37,6 @@ impl Syscfg {
         bit(self.words[CFGR1], 19 + number)
     }
 
-    /// Port (A is 0) whose pin drives an external interrupt line.
-    pub(crate) fn exti_port(&self, line: usize) -> usize {
-        let word = self.words[EXTICR0 + line as u32 / 4 * 4];
-        (word >> (4 * (line % 4)) & 0xF) as usize
-    }
-
     pub(crate) fn read(&mut self, offset: u32, context: &mut Context) -> u32 {
         match offset {
             MEMRMP..=SKR if offset.is_multiple_of(4) => self.words[offset],
@@ -64,8 +58,10 @@ impl Syscfg {
             MEMRMP if value & 0x107 != 0 => {
                 context.unmodelled_setting(offset, "another memory or bank at address 0")
             }
-            CFGR1 | EXTICR0..=EXTICR3 => *word = value,
-            SCSR | SWPR | SKR => context.unmodelled_setting(offset, "erasing or protecting CCM"),
+            CFGR1 => *word = value,
+            EXTICR0..=EXTICR3 | SCSR | SWPR | SKR => {
+                context.unmodelled_setting(offset, "external interrupts; erasing or protecting CCM")
+            }
             _ => {}
         }
     }

@@ -75,7 +75,6 @@ impl Soc {
             }
             Block::Dma(controller) => self.dma.read(controller, offset, context),
             Block::DmaMux => self.dma.read_mux(offset, context),
-            Block::Exti => self.exti.read(offset, context),
             Block::Fdcan => self.fdcan.read(offset, context),
             Block::FdcanRam => self.fdcan.read_ram(offset).unwrap_or(0),
             Block::Flash => self.flash.read_register(offset, context),
@@ -161,7 +160,6 @@ impl Soc {
                 }
             }
             Block::DmaMux => self.dma.write_mux(offset, value, context),
-            Block::Exti => self.exti.write(offset, value, context),
             Block::Fdcan => {
                 let has_pins = has(&functions.can);
                 let is_sending = self.devices.can.borrow().is_sending();
@@ -259,12 +257,7 @@ impl Soc {
             Block::Tim5 => self.tim5 = Timer::new(),
             Block::Usart => self.usart = Usart::new(),
             Block::Pwr => self.pwr.reset(),
-            Block::DmaMux
-            | Block::Exti
-            | Block::FdcanRam
-            | Block::Flash
-            | Block::Iwdg
-            | Block::Rcc => {}
+            Block::DmaMux | Block::FdcanRam | Block::Flash | Block::Iwdg | Block::Rcc => {}
         }
         self.refresh(block);
         self.update_clocks();
@@ -281,7 +274,6 @@ impl Soc {
         let watched = [encoder, inertial, wiring.sensor_buses[0][0], wiring.sensor_buses[1][0]];
         let levels = |gpio: &[Gpio; 7]| watched.map(|pin| gpio[pin.port].driven(pin.number));
         let before = levels(&self.gpio);
-        let all_before = self.port_levels(port);
         self.gpio[port].write(offset, value, context!(self, base));
         let after = levels(&self.gpio);
         let [encoder_before, inertial_before, clocks_before @ ..] = before;
@@ -314,13 +306,6 @@ impl Soc {
                 bus.borrow_mut().pulse();
             }
         }
-        let changed = all_before ^ self.port_levels(port);
-        for line in
-            (0..16).filter(|line| changed >> line & 1 != 0 && self.syscfg.exti_port(*line) == port)
-        {
-            self.exti.edge(line, self.gpio[port].level(line));
-        }
-        self.refresh(Block::Exti);
         self.update_connections();
     }
 
@@ -330,10 +315,6 @@ impl Soc {
             let address = base_of(&self.entries, Block::Spi(0));
             self.violations.report(Kind::Misconfigured, address, detail);
         }
-    }
-
-    fn port_levels(&self, port: usize) -> u16 {
-        (0..16).fold(0, |levels, pin| levels | u16::from(self.gpio[port].level(pin)) << pin)
     }
 }
 

@@ -14,7 +14,6 @@ pub(super) enum Block {
     Adc345,
     Dma(usize),
     DmaMux,
-    Exti,
     Fdcan,
     FdcanRam,
     Flash,
@@ -32,7 +31,7 @@ pub(super) enum Block {
 }
 
 /// The blocks, by their names in the metadata.
-pub(super) const BLOCKS: [(&str, Block); 29] = [
+pub(super) const BLOCKS: [(&str, Block); 28] = [
     ("TIM5", Block::Tim5),
     ("TIM1", Block::Tim1),
     ("ADC1", Block::Adc12),
@@ -61,7 +60,6 @@ pub(super) const BLOCKS: [(&str, Block); 29] = [
     ("PWR", Block::Pwr),
     ("RNG", Block::Rng),
     ("SYSCFG", Block::Syscfg),
-    ("EXTI", Block::Exti),
 ];
 
 /// A block with its clock gate and reset, where it has them.

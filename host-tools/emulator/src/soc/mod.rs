@@ -22,7 +22,6 @@ use crate::mpu::Mpu;
 use crate::peripherals::adc::{Adc, Inputs, Trigger};
 use crate::peripherals::clocks::{Rcc, ResetCause};
 use crate::peripherals::dma::Dma;
-use crate::peripherals::exti::Exti;
 use crate::peripherals::fdcan::Fdcan;
 use crate::peripherals::flash::{self, Flash};
 use crate::peripherals::gpio::{Gpio, Mode};
@@ -79,7 +78,6 @@ pub struct Soc {
     syscfg: Syscfg,
     dbgmcu: Dbgmcu,
     mpu: Mpu,
-    exti: Exti,
     gpio: [Gpio; 7],
     dma: Dma,
     tim5: Timer,
@@ -155,7 +153,6 @@ impl Soc {
             syscfg: Syscfg::default(),
             dbgmcu: Dbgmcu::default(),
             mpu: Mpu::default(),
-            exti: Exti::new(),
             gpio: std::array::from_fn(Gpio::new),
             dma: Dma::new(),
             tim5: Timer::new(),
@@ -213,7 +210,6 @@ impl Soc {
         self.syscfg = Syscfg::default();
         self.dbgmcu = Dbgmcu::default();
         self.mpu = Mpu::default();
-        self.exti = Exti::new();
         for (port, gpio) in self.gpio.iter_mut().enumerate() {
             gpio.reset(port);
         }
@@ -467,11 +463,6 @@ impl Soc {
             Block::Rng => system.set_line(numbers.rng, self.rng.interrupt(self.now)),
             Block::Dma(_) | Block::DmaMux => {
                 for (number, level) in self.dma.interrupts() {
-                    system.set_line(number, level);
-                }
-            }
-            Block::Exti => {
-                for (number, level) in self.exti.interrupts() {
                     system.set_line(number, level);
                 }
             }
