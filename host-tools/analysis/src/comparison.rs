@@ -5,61 +5,56 @@ use std::path::Path;
 
 use anyhow::Result;
 use model_export::fit::FitOptions;
-use model_export::model_file::ModelFile;
 use model_export::recordings::align::Alignment;
 
 use crate::compare::Comparison;
-use crate::compare::campaign_reader::{Caching, CampaignReader, ScannedCampaign};
-use crate::compare::pipeline::{compare_scanned, setup_errors_of};
+use crate::compare::campaign_reader::{Caching, CampaignReader};
+use crate::compare::checked_campaign::CheckedCampaign;
+use crate::compare::pipeline::compare_checked;
 use crate::data_quality::Finding;
 use crate::diagnose::recording_differences;
+use crate::model::Model;
 
-/// Compares the model at `path`, and the one at `other` on the same rows, with a campaign.
+/// Compares a model, and a baseline on the same rows, with a campaign.
 ///
 /// # Errors
-/// A file cannot be read, or model and recordings do not match.
+/// A recording cannot be read, or model and recordings do not match.
 pub fn compare(
-    path: &Path,
+    model: &Model,
     campaign: &Path,
-    other: Option<&Path>,
+    baseline: Option<&Model>,
     alignment: Alignment,
     options: FitOptions,
 ) -> Result<Comparison> {
-    let model = ModelFile::read(path)?;
-    let scanned = ScannedCampaign::open(campaign, alignment, Caching::IfFew)?;
-    let findings = with_differences(&scanned, &model, path, options)?;
-    compare_scanned((path, &model), other, (scanned, findings), None, options)
+    let checked = check(model, campaign, alignment, options)?;
+    compare_checked(model, baseline, &checked, None, options)
 }
 
-/// Setup errors of a campaign, from its files, from the predictions of the model at `path`, and by what differs between recordings.
+/// Setup errors of a campaign, from its files, from the predictions of a model, and by what differs between recordings.
 ///
 /// # Errors
-/// A file cannot be read.
+/// A recording cannot be read.
 pub fn setup_errors(
-    path: &Path,
+    model: &Model,
     campaign: &Path,
     alignment: Alignment,
     options: FitOptions,
 ) -> Result<Vec<Finding>> {
-    let model = ModelFile::read(path)?;
-    let scanned = ScannedCampaign::open(campaign, alignment, Caching::IfFew)?;
-    with_differences(&scanned, &model, path, options)
+    Ok(check(model, campaign, alignment, options)?.findings)
 }
 
-/// Setup errors of files and model, and what differs between the recordings of a campaign in memory, if nothing else stops an
-/// evaluation.
-fn with_differences(
-    scanned: &ScannedCampaign,
-    model: &ModelFile,
-    path: &Path,
+/// A campaign with its setup errors, and with what differs between the recordings in memory, if nothing else stops an evaluation.
+fn check(
+    model: &Model,
+    campaign: &Path,
+    alignment: Alignment,
     options: FitOptions,
-) -> Result<Vec<Finding>> {
-    let mut findings = setup_errors_of(scanned, model, path)?;
-    let is_stopped = findings.iter().any(|finding| finding.stops);
-    let campaign = scanned.reader.as_ref().and_then(CampaignReader::cached);
-    if let Some(campaign) = campaign.filter(|one| !is_stopped && one.recordings.len() > 1) {
-        let effects = model.effect_terms(path)?;
-        findings.extend(recording_differences::next_to(campaign, model, effects, options));
+) -> Result<CheckedCampaign> {
+    let mut checked = CheckedCampaign::open(campaign, model, alignment, Caching::IfFew)?;
+    let campaign = checked.reader().and_then(CampaignReader::cached);
+    if let Some(campaign) = campaign.filter(|one| one.recordings.len() > 1) {
+        let differences = recording_differences::next_to(campaign, model, options);
+        checked.findings.extend(differences);
     }
-    Ok(findings)
+    Ok(checked)
 }

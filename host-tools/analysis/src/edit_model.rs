@@ -1,6 +1,5 @@
 //! A model refitted with other effects: the error before and after.
 
-use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::{Result, anyhow, bail};
@@ -21,6 +20,7 @@ use model_export::recordings::align::Alignment;
 use crate::compare::ForceError;
 use crate::compare::campaign_reader::check_distinct;
 use crate::compare::force_errors::held_out_forces;
+use crate::model::Model;
 use crate::notes::{MissingForces, Note, UncompensatedEffect, collect};
 use crate::progress;
 
@@ -43,21 +43,21 @@ pub struct ModelEdit {
     pub notes: Vec<Note>,
 }
 
-/// Refits a model with the effects `before` and with the effects `after`.
+/// Refits a model with its effects and with the effects `after`.
 pub fn refit(
     campaign: Campaign,
-    model: &ModelFile,
-    before: Vec<EffectTerm>,
+    model: &Model,
     after: Vec<EffectTerm>,
     alignment: Alignment,
     options: FitOptions,
 ) -> Result<ModelEdit> {
     collect(|notes| {
-        let prepared = model.fit_setup(&campaign, options)?;
-        let constant = check_effects(&after, model.base, &campaign, &prepared)?;
+        let before = model.effects.clone();
+        let prepared = model.file.fit_setup(&campaign, options)?;
+        let constant = check_effects(&after, model.file.base, &campaign, &prepared)?;
         let notices = campaign.notices().chain(&prepared.notices);
         notes.extend(notices.cloned().map(Note::Recording).chain(constant));
-        notes.extend(Note::other_design(&campaign, model));
+        notes.extend(Note::other_design(&campaign, &model.file));
         let all: Vec<EffectTerm> = before.iter().chain(&after).cloned().collect();
         let split = prepared.split(&all);
         let bar =
@@ -69,10 +69,14 @@ pub fn refit(
         let provenance = Provenance::of(&campaign, alignment.delay_us, options)?;
         let sources = provenance.recordings.iter();
         check_distinct(&provenance.campaign, sources.clone().map(|r| (&*r.name, &*r.sha256)))?;
-        notes.extend(Note::other_recordings(model, sources.map(|recording| &*recording.sha256)));
+        notes.extend(Note::other_recordings(
+            &model.file,
+            sources.map(|recording| &*recording.sha256),
+        ));
         let bar = progress::progress_bar("replaying, before and after", 1);
         let fits = [(&old, before.as_slice()), (&new, after.as_slice())];
-        let forces = held_out_forces((&campaign, &[]), &prepared, &fits, alignment, options)?;
+        let forces =
+            held_out_forces((&campaign, &[]), &prepared, &fits, alignment, false, options)?;
         bar.finish_and_clear();
         let mut forces = forces.into_iter();
         let mut next = || forces.next().unwrap_or_default();
@@ -103,23 +107,23 @@ pub fn refit(
     })
 }
 
-/// The effects of a model at `place` without those of these names and with `added`.
+/// The effects of a model without those of these names and with `added`.
 ///
 /// # Errors
 /// The model does not have an effect to remove, or has one to add.
 pub fn edited_effects(
-    place: &Path,
-    before: &[EffectTerm],
+    model: &Model,
     added: Vec<EffectTerm>,
     removed: &[String],
 ) -> Result<Vec<EffectTerm>> {
+    let (before, place) = (&model.effects, model.path.display());
     let names: Vec<&str> = before.iter().map(EffectTerm::name).collect();
     if let Some(missing) = removed.iter().find(|removed| !names.contains(&removed.as_str())) {
         let available = if names.is_empty() { "no effects".to_owned() } else { names.join(", ") };
-        bail!("{}: the model has no effect {missing}; it has {available}", place.display());
+        bail!("{place}: the model has no effect {missing}; it has {available}");
     }
     if let Some(present) = added.iter().find(|effect| names.contains(&effect.name())) {
-        bail!("{}: the model already has {}", place.display(), present.name());
+        bail!("{place}: the model already has {}", present.name());
     }
     let kept = before.iter().filter(|effect| !removed.iter().any(|name| name == effect.name()));
     Ok(kept.cloned().chain(added).collect())

@@ -81,7 +81,7 @@ pub fn fit_model(
         let bar = progress::progress_bar("replaying on the device's code", 1);
         let evaluate = |setup: &FitSetup, fit: &JointFit| {
             let evaluated =
-                held_out_forces((&campaign, &[]), setup, &[(fit, &[])], alignment, options);
+                held_out_forces((&campaign, &[]), setup, &[(fit, &[])], alignment, false, options);
             evaluated.map(|forces| forces.into_iter().next().unwrap_or_default())
         };
         let forces = match &fits {

@@ -5,6 +5,7 @@
 //! - [`comparison`]: the same from files, with all setup errors.
 //! - [`data_quality`]: setup errors in recordings.
 //! - [`diagnose`]: missing physical effects.
+//! - [`model`]: a model, read once.
 //! - [`import`]: tables of other loggers as a campaign, checked.
 //! - [`fit`], [`edit_model`]: fit of the base physics, and of other effects.
 //! - [`workbench`]: models of one campaign side by side, each fitted on first use.
@@ -24,6 +25,7 @@ pub mod diagnose;
 pub mod edit_model;
 pub mod fit;
 pub mod import;
+pub mod model;
 pub mod network_calibration;
 pub mod network_training;
 pub mod noise_floor;

@@ -2,7 +2,7 @@
 //! for missing effects; the latest are kept.
 
 use std::collections::VecDeque;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use anyhow::{Context, Result};
@@ -19,8 +19,9 @@ use model_export::recordings::columns::force_column_name;
 use serde::Deserialize;
 
 use crate::compare::campaign_reader::{Caching, CampaignReader, ScannedCampaign};
+use crate::compare::checked_campaign::model_findings;
 use crate::compare::covariates::{Covariate, all_covariates};
-use crate::compare::pipeline::{evaluate, model_findings};
+use crate::compare::pipeline::{KnownFit, evaluate};
 use crate::compare::{Comparison, ForceError};
 use crate::data_quality::{Finding, merge};
 use crate::diagnose::candidates::{UntestableEffect, candidates, screen};
@@ -29,9 +30,13 @@ use crate::diagnose::observer::Observer;
 use crate::diagnose::residuals::{block_s, residual_tables, residuals_against};
 use crate::diagnose::{Diagnosis, Scope, diagnose};
 use crate::edit_model::check_effects;
+use crate::model::Model;
 
 /// Models that are kept: each holds its errors over time. A page compares two.
 const MAX_MODELS: usize = 32;
+
+/// Name of the model without effects.
+const BASE: &str = "base";
 
 /// The models of a campaign.
 pub struct Workbench {
@@ -54,10 +59,8 @@ pub struct Workbench {
 
 /// One model of a campaign.
 pub struct WorkbenchModel {
-    /// Effects, the catalogue's and formulas.
-    pub effects: Vec<EffectTerm>,
-    /// The model, fitted to all rows.
-    pub model: ModelFile,
+    /// The model, fitted to all rows, with effects of the catalogue and formulas.
+    pub model: Model,
     /// Its errors on held-out rows.
     pub comparison: Comparison,
     /// What every other effect would add, smallest predicted force error first.
@@ -142,9 +145,10 @@ impl Workbench {
         };
         let fit = setup.fit(&[], setup.split(&[]), options, |_| ())?;
         let provenance = Provenance::of(&campaign, alignment.delay_us, options)?;
-        let model = ModelFile::with_effects(&campaign, &setup, &fit, &[], provenance);
-        let (testable, untestable) = candidates(&campaign, Some(&model), &[], &[]);
-        let findings = merge(scanned.findings.clone(), model_findings(&reader, &model, &[])?);
+        let file = ModelFile::with_effects(&campaign, &setup, &fit, &[], provenance);
+        let (testable, untestable) = candidates(&campaign, Some(&file), &[], &[]);
+        let model = Model::base(BASE, file);
+        let findings = merge(scanned.findings.clone(), model_findings(&reader, &model)?);
         if findings.iter().any(|finding| finding.stops) {
             return Ok(Err(findings));
         }
@@ -181,8 +185,8 @@ impl Workbench {
         let mut models = self.models.lock().unwrap_or_else(PoisonError::into_inner);
         let place = models.iter().position(|known| {
             known.stage.fit.split == split
-                && known.effects.len() == effects.len()
-                && known.effects.iter().zip(effects).all(|(a, b)| is_same(a, b))
+                && known.model.effects.len() == effects.len()
+                && known.model.effects.iter().zip(effects).all(|(a, b)| is_same(a, b))
         });
         let model = models.remove(place?)?;
         models.push_back(model.clone());
@@ -223,23 +227,23 @@ impl Workbench {
         let fit = self.setup.fit(effects, split, self.options, |_| ())?;
         let provenance =
             Provenance::of(&self.campaign, self.reader.alignment.delay_us, self.options)?;
-        let model = ModelFile::with_effects(&self.campaign, &self.setup, &fit, effects, provenance);
-        let findings = merge(self.findings.clone(), model_findings(&self.reader, &model, effects)?);
-        let stage = FittedModel { effects: effects.to_vec(), fit };
+        let file = ModelFile::with_effects(&self.campaign, &self.setup, &fit, effects, provenance);
         let name = effects.iter().map(EffectTerm::name).collect::<Vec<_>>().join(" + ");
-        let name = if name.is_empty() { "base".to_owned() } else { name };
+        let path = PathBuf::from(if name.is_empty() { BASE } else { &name });
+        let model = Model { path, file, effects: effects.to_vec() };
+        let findings = merge(self.findings.clone(), model_findings(&self.reader, &model)?);
+        let stage = FittedModel { effects: effects.to_vec(), fit };
         let comparison = evaluate(
-            Path::new(&name),
             &model,
             &self.reader,
-            Some((&self.setup, &stage.fit)),
+            Some(KnownFit { setup: &self.setup, fit: &stage.fit, forces: None }),
             compared,
             (&findings, self.options),
             &mut notes,
         )?;
         let comparison = Comparison { findings, notes, ..comparison };
         let candidates = self.screen(&stage, comparison.force());
-        Ok(WorkbenchModel { effects: effects.to_vec(), model, comparison, candidates, stage })
+        Ok(WorkbenchModel { model, comparison, candidates, stage })
     }
 
     /// Diagnoses what is missing from a model, and with `plans` which recording decides what is open.
@@ -248,12 +252,10 @@ impl Workbench {
     /// A fit fails.
     pub fn diagnose(&self, model: &WorkbenchModel, plans: bool) -> Result<Diagnosis> {
         let campaign = (&self.campaign, self.reader.alignment);
-        let path = Path::new("model.toml");
-        let observer = Observer::default();
+        let model = Model { path: PathBuf::from("model.toml"), ..model.model.clone() };
         let scope = Scope { plans, ..Scope::CATALOGUE };
-        let (diagnosis, _) =
-            diagnose(campaign, &model.model, path, &[], scope, self.options, &observer)?;
-        Ok(diagnosis)
+        let observer = Observer::default();
+        Ok(diagnose(campaign, &model, &[], scope, self.options, &observer)?.0)
     }
 
     /// Covariates over which residuals can be shown: those with values in the recordings.

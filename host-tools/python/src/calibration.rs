@@ -5,19 +5,20 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 
-use analysis::compare::campaign_reader::{Caching, ScannedCampaign, read_campaign};
-use analysis::compare::pipeline;
+use analysis::compare::campaign_reader::{Caching, read_campaign};
+use analysis::compare::checked_campaign::CheckedCampaign;
 use analysis::comparison;
 use analysis::diagnose::observer::Observer;
-use analysis::diagnose::{self, Diagnosis, Scope};
+use analysis::diagnose::{Scope, diagnose_checked};
 use analysis::edit_model::{edited_effects, find_effects, parse_formulas, refit};
 use analysis::fit::fit_model;
 use analysis::import::import_campaign;
+use analysis::model::Model;
 use analysis::network_training::dataset::TrainingData;
 use analysis::network_training::{
     DEFAULT_PATIENCE, DEFAULT_RATE, TrainingResult, check_settings, default_epochs, default_hidden,
 };
-use analysis::notes::{Note, check_compensated};
+use analysis::notes::check_compensated;
 use analysis::replay::bags::write_bags;
 use analysis::replay::evaluation;
 use anyhow::{Context, Result, anyhow, bail};
@@ -32,7 +33,7 @@ use model_export::gru::train::checkpoint;
 use model_export::gru::train::dataset::Topology;
 use model_export::gru::train::trainer::{Trainer, TrainingSettings};
 use model_export::inverse::build::{ModelVariant, build};
-use model_export::model_file::{BaseKind, ModelFile, SIGNATURE};
+use model_export::model_file::{BaseKind, SIGNATURE};
 use model_export::output::{TABLES_MARK, check_output, write_new, write_output};
 use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
@@ -113,9 +114,11 @@ fn compare(
         if let Some(path) = &report {
             check_output(path, report::html::MARK)?;
         }
-        let other = other.as_deref();
+        let model = Model::read(&model)?;
+        let other = other.as_deref().map(Model::read).transpose()?;
+        let (alignment, options) = (alignment(delay_ms), options(seed));
         let comparison =
-            comparison::compare(&model, &campaign, other, alignment(delay_ms), options(seed))?;
+            comparison::compare(&model, &campaign, other.as_ref(), alignment, options)?;
         if let Some(path) = &report {
             report::html::write(path, &comparison, &[])?;
         }
@@ -142,32 +145,21 @@ fn diagnose_campaign(
 ) -> PyResult<Py<PyString>> {
     let progress = Progress::new(progress);
     let result = interrupt::run(py, |stop| {
-        let file = ModelFile::read(&model)?;
-        let alignment = alignment(delay_ms);
-        let scanned = ScannedCampaign::open(&campaign, alignment, Caching::Always)?;
-        let mut findings = pipeline::setup_errors_of(&scanned, &file, &model)?;
-        let is_stopped = findings.iter().any(|finding| finding.stops);
-        let Some(reader) = scanned.reader.filter(|_| !is_stopped) else {
-            let stopped = Diagnosis { findings, ..Diagnosis::default() };
-            return Ok(text::diagnosis::to_json(&stopped));
+        let model = Model::read(&model)?;
+        let checked =
+            CheckedCampaign::open(&campaign, &model, alignment(delay_ms), Caching::Always)?;
+        let own = match checked.campaign()? {
+            Some(rows) => formulas(&exprs, &ranges, &rows)?,
+            None => Vec::new(),
         };
-        let hashes = reader.names.iter().map(|recording| recording.sha256.as_str());
-        let is_fitted_here = Note::other_recordings(&file, hashes).is_none();
-        let rows = reader.whole()?;
-        let own = formulas(&exprs, &ranges, &rows)?;
         let observer = Observer::new(
             |stage, share| progress.call(stop, stage, share),
             |_| (),
             || stop.load(Ordering::Relaxed),
         );
-        let options = options(seed);
-        let scope = Scope { catalogue, plans };
-        let (mut diagnosis, _) =
-            diagnose::diagnose((&rows, alignment), &file, &model, &own, scope, options, &observer)?;
-        drop(observer);
-        findings.append(&mut diagnosis.findings);
-        diagnosis.findings = findings;
-        diagnosis.set_suggestion(&own, file.base, delay_ms, is_fitted_here);
+        let scope = Scope { catalogue, plans, traces: false };
+        let (diagnosis, _) =
+            diagnose_checked(&checked, &model, &own, scope, options(seed), &observer)?;
         Ok(text::diagnosis::to_json(&diagnosis))
     })?;
     progress.finish()?;
@@ -191,12 +183,11 @@ fn edit(
 ) -> PyResult<Py<PyString>> {
     let result = interrupt::run(py, move |_| {
         check_output(&output, SIGNATURE)?;
-        let file = ModelFile::read(&model)?;
+        let model = Model::read(&model)?;
         let rows = read_campaign(&campaign, alignment(delay_ms))?;
-        let before = file.effect_terms(&model)?;
         let added = find_effects(&added, &formulas(&exprs, &ranges, &rows)?)?;
-        let after = edited_effects(&model, &before, added, &removed)?;
-        let edited = refit(rows, &file, before, after, alignment(delay_ms), options(seed))?;
+        let after = edited_effects(&model, added, &removed)?;
+        let edited = refit(rows, &model, after, alignment(delay_ms), options(seed))?;
         edited.model.write(&output)?;
         Ok(with_notes(text::edit_model::to_json(&edited), &edited.notes))
     })?;

@@ -8,6 +8,7 @@ use crate::commands::args::CompareArgs;
 use crate::commands::output::print_notes;
 use analysis::comparison::{compare, setup_errors};
 use analysis::data_quality::corrected_copy;
+use analysis::model::Model;
 use report::text::comparison::{format_report, to_json};
 use report::text::terminal;
 
@@ -35,20 +36,15 @@ pub fn run(args: &Args) -> Result<()> {
     let common = &args.common;
     let input = &common.input;
     common.check_output()?;
-    let comparison = compare(
-        &input.model,
-        &input.campaign,
-        args.baseline.as_deref(),
-        input.fit.align.alignment()?,
-        input.fit.options(),
-    )?;
+    let model = Model::read(&input.model)?;
+    let baseline = args.baseline.as_deref().map(Model::read).transpose()?;
+    let (alignment, options) = (input.fit.align.alignment()?, input.fit.options());
+    let comparison = compare(&model, &input.campaign, baseline.as_ref(), alignment, options)?;
     print_notes(&comparison.notes);
     terminal::print_result(input.fit.json, || to_json(&comparison), || format_report(&comparison))?;
     common.write_report(&comparison, &[])?;
     if let Some(to) = &args.fix {
-        let alignment = input.fit.align.alignment()?;
-        let check =
-            |folder: &Path| setup_errors(&input.model, folder, alignment, input.fit.options());
+        let check = |folder: &Path| setup_errors(&model, folder, alignment, options);
         for correction in corrected_copy::write(&input.campaign, &comparison.findings, to, check)? {
             common.print_line(&correction)?;
         }

@@ -8,6 +8,7 @@ use analysis::diagnose::observer::Observer;
 use analysis::diagnose::{Diagnosis, Scope, diagnose};
 use analysis::edit_model::refit;
 use analysis::fit::{CampaignFit, fit_model};
+use analysis::model::Model;
 use analysis::progress;
 use analysis::statistics::pooled_rms;
 use anyhow::{Context, Result, bail};
@@ -107,8 +108,13 @@ pub fn run(args: &Args) -> Result<()> {
     let diagnosis = diagnosed(&base, &model_path, options)?;
     let models = add_effects(&base, &diagnosis, &args.output, options)?;
     let last = models.last().map_or(&model_path, |(_, path)| path);
-    let baseline = (!models.is_empty()).then_some(&*model_path);
-    let comparison = compare(last, folder, baseline, ALIGNMENT, options)?;
+    let of_base = Model::read(&model_path)?;
+    let comparison = match models.last() {
+        Some((_, path)) => {
+            compare(&Model::read(path)?, folder, Some(&of_base), ALIGNMENT, options)?
+        }
+        None => compare(&of_base, folder, None, ALIGNMENT, options)?,
+    };
     print_notes(&comparison.notes);
     let of_base = comparison.other.as_deref().unwrap_or(&comparison);
     let verdict = text::comparison::conclusion::verdict(of_base);
@@ -181,8 +187,8 @@ fn diagnosed(base: &CampaignFit, model_path: &Path, options: FitOptions) -> Resu
     let bar = progress::Stages::new();
     let observer = Observer::new(|stage, share| bar.set(stage, share), |_| (), || false);
     let campaign = (&base.campaign, ALIGNMENT);
-    let (diagnosis, _) =
-        diagnose(campaign, &base.model, model_path, &[], Scope::CATALOGUE, options, &observer)?;
+    let model = Model::base(model_path, base.model.clone());
+    let (diagnosis, _) = diagnose(campaign, &model, &[], Scope::CATALOGUE, options, &observer)?;
     drop(observer);
     bar.finish();
     Ok(diagnosis)
@@ -234,11 +240,12 @@ fn add_effects(
     options: FitOptions,
 ) -> Result<Vec<(String, PathBuf)>> {
     let mut models = Vec::new();
+    let model = Model::base("base", base.model.clone());
     let mut added: Vec<EffectTerm> = Vec::new();
     for (i, (name, terms)) in diagnosis.accepted_steps()?.into_iter().enumerate() {
         added.extend(terms);
         let campaign = base.campaign.clone();
-        let edit = refit(campaign, &base.model, Vec::new(), added.clone(), ALIGNMENT, options)?;
+        let edit = refit(campaign, &model, added.clone(), ALIGNMENT, options)?;
         print_notes(&edit.notes);
         let path = output.join(format!("better-{}.toml", i + 1));
         edit.model.write(&path)?;

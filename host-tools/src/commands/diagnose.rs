@@ -3,19 +3,19 @@
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 
-use analysis::notes::Note;
+use analysis::model::Model;
 use analysis::progress;
 use anyhow::Result;
-use model_export::model_file::ModelFile;
 use model_export::output::{check_output, write_output};
 
 use crate::commands::args::{CompareArgs, ExprArgs};
 use crate::commands::output::{INTERRUPTED, first_interrupt, print_notes};
-use analysis::compare::campaign_reader::{Caching, ScannedCampaign};
-use analysis::compare::pipeline::{compare_scanned, setup_errors_of};
+use analysis::compare::campaign_reader::Caching;
+use analysis::compare::checked_campaign::CheckedCampaign;
+use analysis::compare::pipeline::compare_checked;
 use analysis::diagnose::observer::{FirstCandidate, Observer};
 use analysis::diagnose::recording_plan::RecordingProposal;
-use analysis::diagnose::{Diagnosis, Scope, diagnose};
+use analysis::diagnose::{Scope, diagnose_checked};
 use report::text::diagnosis::{format_report, to_json};
 use report::text::terminal;
 use sim::campaign::plan::RecordingPlan;
@@ -94,59 +94,33 @@ pub fn run(args: &Args) -> Result<()> {
         check_output(path, PLAN_MARK)?;
     }
     let input = &common.input;
-    let model = ModelFile::read(&input.model)?;
-    let options = input.fit.options();
-    let alignment = input.fit.align.alignment()?;
-    let scanned = ScannedCampaign::open(&input.campaign, alignment, Caching::Always)?;
-    let mut findings = setup_errors_of(&scanned, &model, &input.model)?;
-    let is_stopped = findings.iter().any(|finding| finding.stops);
-    let (diagnosis, refit) = match scanned.reader.as_ref().filter(|_| !is_stopped) {
-        Some(reader) => {
-            let campaign = reader.whole()?;
-            let own = args.exprs.parse(&campaign)?;
-            print_notes(Note::other_design(&campaign, &model).as_slice());
-            let hashes = reader.names.iter().map(|recording| recording.sha256.as_str());
-            let other_recordings = Note::other_recordings(&model, hashes);
-            print_notes(other_recordings.as_slice());
-            let bar = progress::Stages::new();
-            let stop = first_interrupt()?;
-            let observer = Observer::new(
-                |stage, share| bar.set(stage, share),
-                |first| bar.line(&first_answer(first)),
-                || stop.load(Ordering::Relaxed),
-            );
-            let (mut diagnosis, refit) = diagnose(
-                (&campaign, alignment),
-                &model,
-                &input.model,
-                &own,
-                Scope { plans: args.plan.is_some(), ..Scope::CATALOGUE },
-                options,
-                &observer,
-            )?;
-            drop(observer);
-            bar.finish();
-            findings.append(&mut diagnosis.findings);
-            diagnosis.findings.clone_from(&findings);
-            let is_fitted_here = other_recordings.is_none();
-            let delay_ms = alignment.delay_us / 1e3;
-            diagnosis.set_suggestion(&own, model.base, delay_ms, is_fitted_here);
-            (diagnosis, refit)
-        }
-        None => (Diagnosis { findings: findings.clone(), ..Diagnosis::default() }, None),
+    let model = Model::read(&input.model)?;
+    let (alignment, options) = (input.fit.align.alignment()?, input.fit.options());
+    let mut checked = CheckedCampaign::open(&input.campaign, &model, alignment, Caching::Always)?;
+    let own = match checked.campaign()? {
+        Some(campaign) => args.exprs.parse(&campaign)?,
+        None => Vec::new(),
     };
+    print_notes(&checked.notes(&model)?);
+    let bar = progress::Stages::new();
+    let stop = first_interrupt()?;
+    let observer = Observer::new(
+        |stage, share| bar.set(stage, share),
+        |first| bar.line(&first_answer(first)),
+        || stop.load(Ordering::Relaxed),
+    );
+    let scope =
+        Scope { catalogue: true, plans: args.plan.is_some(), traces: common.output.is_some() };
+    let (diagnosis, refit) = diagnose_checked(&checked, &model, &own, scope, options, &observer)?;
+    drop(observer);
+    bar.finish();
     terminal::print_result(input.fit.json, || to_json(&diagnosis), || format_report(&diagnosis))?;
     if let Some((path, proposal)) = args.plan.as_ref().zip(diagnosis.proposal.as_ref()) {
         write_plan(args, path, proposal)?;
     }
     if common.output.is_some() {
-        let comparison = compare_scanned(
-            (&input.model, &model),
-            None,
-            (scanned, findings),
-            refit.as_ref(),
-            options,
-        )?;
+        checked.findings.clone_from(&diagnosis.findings);
+        let comparison = compare_checked(&model, None, &checked, refit.as_ref(), options)?;
         print_notes(&comparison.notes);
         common.write_report(&comparison, &report::html::diagnosis::sections(&diagnosis))?;
     }

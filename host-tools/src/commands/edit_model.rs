@@ -4,9 +4,10 @@ use std::path::PathBuf;
 
 use analysis::compare::campaign_reader::read_campaign;
 use analysis::edit_model::{edited_effects, find_effects, refit};
+use analysis::model::Model;
 use anyhow::{Result, bail};
 use model_export::effects::EffectTerm;
-use model_export::model_file::{self, ModelFile};
+use model_export::model_file;
 use model_export::output::check_output;
 use model_export::recordings::Campaign;
 use report::text::edit_model::{format_report, to_json};
@@ -28,18 +29,17 @@ struct EditArgs {
 /// Reads the inputs, refits before and after the edit, prints the report and writes the new model.
 fn edit(
     args: &EditArgs,
-    edit_effects: impl Fn(&[EffectTerm], &Campaign) -> Result<Vec<EffectTerm>>,
+    edit_effects: impl Fn(&Model, &Campaign) -> Result<Vec<EffectTerm>>,
 ) -> Result<()> {
     if let Some(path) = &args.output {
         check_output(path, model_file::SIGNATURE)?;
     }
-    let model = ModelFile::read(&args.input.model)?;
+    let model = Model::read(&args.input.model)?;
     let alignment = args.input.fit.align.alignment()?;
     let options = args.input.fit.options();
     let campaign = read_campaign(&args.input.campaign, alignment)?;
-    let before = model.effect_terms(&args.input.model)?;
-    let after = edit_effects(&before, &campaign)?;
-    let edited = refit(campaign, &model, before, after, alignment, options)?;
+    let after = edit_effects(&model, &campaign)?;
+    let edited = refit(campaign, &model, after, alignment, options)?;
     print_notes(&edited.notes);
     terminal::print_result(args.input.fit.json, || to_json(&edited), || format_report(&edited))?;
     if let Some(path) = &args.output {
@@ -81,9 +81,9 @@ pub fn run_add(args: &AddArgs) -> Result<()> {
     if args.effects.is_empty() && args.exprs.is_empty() {
         bail!("name an effect (`cargo magpie effects` lists them), or give a formula with --expr");
     }
-    edit(&args.edit, |before, campaign| {
+    edit(&args.edit, |model, campaign| {
         let added = find_effects(&args.effects, &args.exprs.parse(campaign)?)?;
-        edited_effects(&args.edit.input.model, before, added, &[])
+        edited_effects(model, added, &[])
     })
 }
 
@@ -102,7 +102,5 @@ pub struct RemoveArgs {
 
 /// Runs the command.
 pub fn run_remove(args: &RemoveArgs) -> Result<()> {
-    edit(&args.edit, |before, _| {
-        edited_effects(&args.edit.input.model, before, Vec::new(), &args.effects)
-    })
+    edit(&args.edit, |model, _| edited_effects(model, Vec::new(), &args.effects))
 }

@@ -6,6 +6,7 @@ use std::sync::OnceLock;
 use analysis::compare::Comparison;
 use analysis::compare::{ErrorUnit, Validation, floor_g, rms_g};
 use analysis::comparison::compare;
+use analysis::model::Model;
 use analysis::notes::Note;
 use model_export::fit::FitOptions;
 use model_export::recordings::align::Alignment;
@@ -18,7 +19,7 @@ use crate::workdir::{WorkDir, campaign, fitted_model, text};
 
 fn compared(model: &Path, campaign: &Path) -> Comparison {
     let alignment = Alignment { delay_us: 0.0 };
-    compare(model, campaign, None, alignment, FitOptions::default()).unwrap()
+    compare(&Model::read(model).unwrap(), campaign, None, alignment, FitOptions::default()).unwrap()
 }
 
 /// Comparison of the model that is fitted to `clean` or `demo` with one of both; compared once.

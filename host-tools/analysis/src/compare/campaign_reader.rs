@@ -67,12 +67,6 @@ impl ScannedCampaign {
         let reader = if stops { None } else { Some(open()?) };
         Ok(Self { folder: folder.to_path_buf(), findings, reader })
     }
-
-    /// A campaign that was opened before the scan.
-    pub fn of(reader: CampaignReader, findings: Vec<Finding>) -> Self {
-        let stops = findings.iter().any(|finding| finding.stops);
-        Self { folder: reader.folder.clone(), findings, reader: (!stops).then_some(reader) }
-    }
 }
 
 /// [`scan_files`] with a progress bar.

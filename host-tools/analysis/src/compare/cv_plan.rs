@@ -3,6 +3,7 @@
 
 use crate::compare::Validation;
 use crate::compare::campaign_reader::{CampaignReader, RecordingId};
+use crate::model::Model;
 use crate::progress;
 use crate::replay::corrections::SensorCorrections;
 use anyhow::Result;
@@ -18,20 +19,6 @@ use std::path::Path;
 /// file is not a fit of these recordings (edited, or by an older version) and is evaluated unchanged.
 const NOT_A_FIT: f64 = 1.02;
 
-/// A fit of a model's effects to all recordings of a campaign, cross-validated like [`CvPlan`].
-pub struct ModelRefit {
-    /// Rows and base models.
-    pub setup: FitSetup,
-    pub fit: JointFit,
-}
-
-/// A model for the rows that it was not fitted to.
-pub struct FoldModel {
-    pub model: ModelFile,
-    /// Effects of the model.
-    pub additions: Vec<EffectTerm>,
-}
-
 #[derive(Clone, Debug)]
 pub struct RecordingFolds {
     /// Name, folder and hash.
@@ -43,35 +30,30 @@ pub struct RecordingFolds {
 /// Cross-validation of a campaign.
 pub struct CvPlan {
     /// Models: first the file itself, then one per fold.
-    pub models: Vec<FoldModel>,
+    pub models: Vec<Model>,
     /// Recordings in chronological order.
     pub recordings: Vec<RecordingFolds>,
     /// How the errors are separated from the fit.
     pub validation: Validation,
+    /// Whether each row is predicted by a fold of the fit that was known before.
+    pub is_of_known_fit: bool,
 }
 
-impl FoldModel {
-    /// Index of a recording among those of the fit, or one beyond the last.
-    pub fn place_of(&self, recording: &RecordingFolds) -> usize {
-        let fitted = &self.model.provenance.recordings;
-        let place = fitted.iter().position(|other| other.sha256 == recording.named.sha256);
-        place.unwrap_or(fitted.len())
-    }
-
-    /// What separates a recording from the conditions of this model's tables, by sensor. `excitation` is that of each sensor,
+impl RecordingId {
+    /// What separates the recording from the conditions of a model's tables, by sensor. `excitation` is that of each sensor,
     /// `clock_s` its first row on the board's clock.
     pub fn corrections(
         &self,
-        recording: &RecordingFolds,
+        model: &Model,
         excitation: &[(u32, ExcitationSeries)],
         clock_s: f64,
     ) -> Vec<SensorCorrections> {
-        let place = self.place_of(recording);
-        let is_new = place == self.model.provenance.recordings.len();
+        let place = model.place_of(&self.sha256);
+        let is_new = place == model.file.provenance.recordings.len();
         let of_sensor = |(sensor, series): &(u32, ExcitationSeries)| {
             let series = ExcitationSeries { recording: place, ..series.clone() };
-            let predictor = self.model.predictor(*sensor, &self.additions)?;
-            let own = self.model.sensors.iter().find(|own| own.number == *sensor)?;
+            let predictor = model.file.predictor(*sensor, &model.effects)?;
+            let own = model.file.sensors.iter().find(|own| own.number == *sensor)?;
             // Readings are in the sensor's axes.
             let turned = |row: RowCorrection| RowCorrection {
                 reading: (row.reading.0, own.orientation.to_sensor(row.reading.1)),
@@ -90,15 +72,14 @@ impl FoldModel {
 }
 
 impl CvPlan {
-    /// Plans the cross-validation of `source`, with new fits if the model was fitted to any of it. `path` names
-    /// the model in messages; `refit` is the fit to all recordings, if known. The folds are those that a model with the effects
+    /// Plans the cross-validation of `source`, with new fits if the model was fitted to any of it. `refit` is the fit to all
+    /// recordings, if known. The folds are those that a model with the effects
     /// `compared` needs too, so that the errors of both are of the same rows.
     ///
     /// # Errors
     /// A recording cannot be read.
     pub fn new(
-        path: &Path,
-        model: &ModelFile,
+        model: &Model,
         source: &CampaignReader,
         refit: Option<(&FitSetup, &JointFit)>,
         compared: &[EffectTerm],
@@ -109,12 +90,15 @@ impl CvPlan {
             folds: vec![(f64::INFINITY, 0)],
         };
         let recordings: Vec<RecordingFolds> = source.names.iter().map(unseen).collect();
-        let own = FoldModel { additions: model.effect_terms(path)?, model: model.clone() };
-        let fitted = model.provenance.recordings.len();
-        let seen: Vec<usize> =
-            (0..recordings.len()).filter(|&i| own.place_of(&recordings[i]) < fitted).collect();
-        let mut plan =
-            Self { models: vec![own], recordings, validation: Validation::UnseenRecordings };
+        let fitted = model.file.provenance.recordings.len();
+        let is_seen = |i: &usize| model.place_of(&recordings[*i].named.sha256) < fitted;
+        let seen: Vec<usize> = (0..recordings.len()).filter(is_seen).collect();
+        let mut plan = Self {
+            models: vec![model.clone()],
+            recordings,
+            validation: Validation::UnseenRecordings,
+            is_of_known_fit: false,
+        };
         if !seen.is_empty() {
             plan.refit(source, &seen, refit, compared, options)?;
         }
@@ -141,7 +125,7 @@ impl CvPlan {
         let recordings: Vec<RecordingFolds> = recordings.collect();
         let all = recordings.len();
         Self {
-            models: fold_models(campaign, setup, fit, effects, provenance),
+            models: fold_models(Path::new(FITTED), campaign, setup, fit, effects, provenance),
             recordings,
             validation: Validation::CrossValidated {
                 split: fit.split,
@@ -149,6 +133,7 @@ impl CvPlan {
                 refitted: all,
                 all,
             },
+            is_of_known_fit: true,
         }
     }
 
@@ -165,18 +150,19 @@ impl CvPlan {
         let count = source.at_once.max(3).min(seen.len());
         let some: Vec<usize> = (0..count).map(|i| seen[i * seen.len() / count]).collect();
         let campaign = source.campaign(&some)?;
-        let (model, additions) = (self.models[0].model.clone(), self.models[0].additions.clone());
+        let model = self.models[0].clone();
         let computed;
-        let all_effects = [&additions[..], compared].concat();
+        let all_effects = [&model.effects[..], compared].concat();
         let is_usable = |(setup, fit): &(&FitSetup, &JointFit)| {
             some.len() == self.recordings.len() && fit.split == setup.split(&all_effects)
         };
-        let (prepared, fit) = match known.filter(is_usable) {
+        let known = known.filter(is_usable);
+        let (prepared, fit) = match known {
             Some(known) => known,
-            None => match fit_model(&campaign, &model, &additions, &all_effects, options) {
+            None => match fit_model(&campaign, &model, &all_effects, options) {
                 Ok(fitted) => {
                     computed = fitted;
-                    (&computed.setup, &computed.fit)
+                    (&computed.0, &computed.1)
                 }
                 Err(FitError::Recording(problem)) => return Err(problem.into()),
                 Err(why) => {
@@ -185,13 +171,20 @@ impl CvPlan {
                 }
             },
         };
-        if let Some(worse) = excess_error(&model, &additions, prepared, fit) {
+        if let Some(worse) = excess_error(&model, prepared, fit) {
             self.validation = Validation::Edited(worse);
             return Ok(());
         }
         let provenance = Provenance::of(&campaign, source.alignment.delay_us, options)?;
         let first = self.models.len();
-        self.models.extend(fold_models(&campaign, prepared, fit, &additions, &provenance));
+        self.models.extend(fold_models(
+            &model.path,
+            &campaign,
+            prepared,
+            fit,
+            &model.effects,
+            &provenance,
+        ));
         let all = self.models.len() - 1;
         let names: Vec<String> = campaign.recordings.iter().map(|r| r.name.clone()).collect();
         for &i in seen {
@@ -201,6 +194,7 @@ impl CvPlan {
                 Some(part) => segments(prepared, fit, part, first),
             };
         }
+        self.is_of_known_fit = known.is_some() && seen.len() == self.recordings.len();
         self.validation = Validation::CrossValidated {
             split: fit.split,
             seen: seen.len(),
@@ -211,17 +205,22 @@ impl CvPlan {
     }
 }
 
-/// Models fitted without the rows of each fold, then that of all rows.
+/// Name in messages of a model without a file.
+const FITTED: &str = "the fitted model";
+
+/// Models fitted without the rows of each fold, then that of all rows; `path` names them in messages.
 fn fold_models(
+    path: &Path,
     campaign: &Campaign,
     setup: &FitSetup,
     fit: &JointFit,
     effects: &[EffectTerm],
     provenance: &Provenance,
-) -> Vec<FoldModel> {
-    let of = |fit: &JointFit| FoldModel {
-        model: ModelFile::with_effects(campaign, setup, fit, effects, provenance.clone()),
-        additions: effects.to_vec(),
+) -> Vec<Model> {
+    let of = |fit: &JointFit| Model {
+        path: path.to_path_buf(),
+        file: ModelFile::with_effects(campaign, setup, fit, effects, provenance.clone()),
+        effects: effects.to_vec(),
     };
     let folds = fit.sensors.first().map_or(0, |sensor| sensor.folds.len());
     (0..folds).map(|fold| of(&fit.without(fold))).chain([of(fit)]).collect()
@@ -230,28 +229,22 @@ fn fold_models(
 /// Fits the base and effects of a model to a campaign, cross-validated as models with `all_effects` need it.
 fn fit_model(
     campaign: &Campaign,
-    model: &ModelFile,
-    effects: &[EffectTerm],
+    model: &Model,
     all_effects: &[EffectTerm],
     options: FitOptions,
-) -> Result<ModelRefit, FitError> {
+) -> Result<(FitSetup, JointFit), FitError> {
     let bar = progress::progress_bar("cross-validating", campaign.sensors().len());
-    let setup = model.fit_setup(campaign, options)?;
-    let fit = setup.fit(effects, setup.split(all_effects), options, |_| bar.inc(1))?;
+    let setup = model.file.fit_setup(campaign, options)?;
+    let fit = setup.fit(&model.effects, setup.split(all_effects), options, |_| bar.inc(1))?;
     bar.finish_and_clear();
-    Ok(ModelRefit { setup, fit })
+    Ok((setup, fit))
 }
 
 /// Error of the file's parameters relative to a fit to the same rows; `None` if the file is that fit.
-fn excess_error(
-    model: &ModelFile,
-    additions: &[EffectTerm],
-    prepared: &FitSetup,
-    fit: &JointFit,
-) -> Option<f64> {
+fn excess_error(model: &Model, prepared: &FitSetup, fit: &JointFit) -> Option<f64> {
     let (mut own, mut rows) = (0.0, 0.0);
     for sensor in &prepared.rows {
-        let Some(predictor) = model.predictor(sensor.sensor, additions) else {
+        let Some(predictor) = model.file.predictor(sensor.sensor, &model.effects) else {
             continue;
         };
         for part in &sensor.parts {

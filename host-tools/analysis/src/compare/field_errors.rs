@@ -2,9 +2,10 @@
 
 use crate::compare::campaign_reader::CampaignReader;
 use crate::compare::covariates::all_covariates;
-use crate::compare::cv_plan::{CvPlan, FoldModel, RecordingFolds};
+use crate::compare::cv_plan::{CvPlan, RecordingFolds};
 use crate::compare::residual_table::{MAX_ROWS, ResidualTable};
 use crate::compare::{Envelope, ErrorUnit, Trace};
+use crate::model::Model;
 use crate::notes::Note;
 use crate::progress;
 use crate::statistics::ErrorAccumulator;
@@ -91,7 +92,7 @@ pub fn evaluate_fields(
         for (&place, recording) in places.iter().zip(read) {
             match &first {
                 None => {
-                    let model = &plan.models[0].model;
+                    let model = &plan.models[0].file;
                     evaluation.sensors = sensors(model, &recording, campaign)?;
                     notes.extend(left_out(model, &recording, &evaluation.sensors));
                 }
@@ -253,12 +254,12 @@ impl SensorEvaluation {
 
     fn predict(
         &self,
-        fold: &FoldModel,
+        model: &Model,
         planned: &RecordingFolds,
         part: &mut RecordingRows,
     ) -> Option<FieldPrediction> {
-        let predictor = fold.model.predictor(self.sensor, &fold.additions)?;
-        part.track.recording = fold.place_of(planned);
+        let predictor = model.file.predictor(self.sensor, &model.effects)?;
+        part.track.recording = model.place_of(&planned.named.sha256);
         Some(predictor.over(part, &self.forces))
     }
 

@@ -5,10 +5,10 @@
 //! that the gripper had at its time; rows in which the device itself detects an event of the model are counted apart; what no
 //! model of the device could remove is not part of the excess.
 
-use crate::compare::cv_plan::{CvPlan, FoldModel, RecordingFolds};
-use crate::compare::{
-    Envelope, ErrorRows, FlaggedRows, ForceAxisErrors, ForceError, Histogram, Trace,
-};
+use crate::compare::campaign_excitation::{CampaignExcitation, RecordingExcitation};
+use crate::compare::cv_plan::{CvPlan, RecordingFolds};
+use crate::compare::{Envelope, ErrorRows, FlaggedRows, ForceAxisErrors, ForceError, Histogram};
+use crate::model::Model;
 use crate::notes::{MissingForces, UncompensatedEffect};
 use crate::progress;
 use crate::replay::corrections::{Irreducible, RecordingOffsets, SensorCorrections, add_offsets};
@@ -17,12 +17,10 @@ use crate::statistics::{ErrorAccumulator, Moments};
 use anyhow::{Result, anyhow};
 use device_run::ReplayModels;
 use indicatif::ProgressBar;
-use model_export::effects::excitation::LoadCycleCounter;
-use model_export::effects::{EffectTerm, ErrorOrigin, ExcitationSeries};
+use model_export::effects::{EffectTerm, ErrorOrigin};
 use model_export::fit::FitOptions;
 use model_export::fit::campaign::FitSetup;
 use model_export::fit::joint::JointFit;
-use model_export::fit::rows::RecordingRows;
 use model_export::inverse::build::{BuildError, DeviceModel, ModelVariant, build_model};
 use model_export::inverse::grbf::GrbfShape;
 use model_export::model_file::{ModelFile, Provenance};
@@ -46,8 +44,16 @@ const DISPLAYED: f64 = 0.998;
 /// Maximum points of all curves.
 const POINTS: usize = 200_000;
 
+/// One sensor over one recording: lateral and longitudinal force in newtons, each reference and device.
+#[derive(Clone)]
+pub struct ForceTrace {
+    pub recording: String,
+    pub sensor: u32,
+    pub force: Vec<[Envelope; 2]>,
+}
+
 /// Errors of all forces.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub struct ForceEvaluation {
     /// By sensor, lateral then longitudinal.
     pub errors: Vec<ForceAxisErrors>,
@@ -61,10 +67,13 @@ pub struct ForceEvaluation {
     pub shape: Option<GrbfShape>,
     /// Error over all forces; `None` without forces.
     pub error: Option<ForceError>,
+    /// Forces over time, where they were asked for.
+    pub traces: Vec<ForceTrace>,
 }
 
 /// Held-out errors of the forces of fits to a whole campaign, each with its effects, and what the device does
-/// not compensate. `offsets` are those of each recording that the campaign in memory is without; empty if none.
+/// not compensate; of the first one the forces over time where `has_traces`. `offsets` are those of each recording that the campaign
+/// in memory is without; empty if none.
 ///
 /// # Errors
 /// A recording cannot be read.
@@ -73,6 +82,7 @@ pub fn held_out_forces(
     setup: &FitSetup,
     fits: &[(&JointFit, &[EffectTerm])],
     alignment: Alignment,
+    has_traces: bool,
     options: FitOptions,
 ) -> Result<Vec<ForceEvaluation>> {
     let provenance = Provenance::of(campaign, alignment.delay_us, options)?;
@@ -86,16 +96,21 @@ pub fn held_out_forces(
         .map(|recording| recording.time_s.first().copied().unwrap_or(0.0))
         .collect();
     let recordings = Recordings {
+        alignment,
         origins_s: &origins_s,
         offsets,
         read: &|place| Ok(Cow::Borrowed(&campaign.recordings[place])),
     };
-    evaluate_plans(&plans, Path::new("the fitted model"), alignment, recordings, &mut [])
+    let traces = setup.rows.iter().map(|sensor| sensor.parts.len()).sum();
+    // The caller shows the progress.
+    let hidden = |_: &'static str, _| ProgressBar::hidden();
+    evaluate_plans(&plans, recordings, has_traces.then_some(traces), hidden)
 }
 
 /// Recordings on the reference's clock.
 #[derive(Clone, Copy)]
 pub struct Recordings<'a> {
+    pub alignment: Alignment,
     /// First row of each in seconds.
     pub origins_s: &'a [f64],
     /// Offsets of each, to subtract; empty without any.
@@ -131,48 +146,40 @@ struct SensorForces {
     curves: [[Vec<f64>; 2]; 2],
 }
 
-/// Replays every recording with the models of its folds, and adds the forces to `traces`.
+/// Replays every recording with the models of its folds, with about this number of traces.
 ///
 /// # Errors
 /// A model cannot be built, or a recording cannot be read.
 pub fn evaluate_forces(
     plan: &CvPlan,
-    path: &Path,
-    alignment: Alignment,
     recordings: Recordings,
-    traces: &mut [Trace],
+    traces: usize,
 ) -> Result<ForceEvaluation> {
     let plans = std::slice::from_ref(plan);
-    let evaluated = evaluate_plans(plans, path, alignment, recordings, traces)?;
+    let evaluated = evaluate_plans(plans, recordings, Some(traces), progress::progress_bar)?;
     Ok(evaluated.into_iter().next().unwrap_or_default())
 }
 
-/// Evaluates several plans of the same recordings in one pass over these; `traces` are of the first plan.
+/// Evaluates several plans of the same recordings in one pass over these, with about this number of traces of the first plan.
 fn evaluate_plans(
     plans: &[CvPlan],
-    path: &Path,
-    alignment: Alignment,
     source: Recordings,
-    traces: &mut [Trace],
+    traces: Option<usize>,
+    progress_bar: impl Fn(&'static str, usize) -> ProgressBar,
 ) -> Result<Vec<ForceEvaluation>> {
-    // Without traces the caller shows the progress.
-    let progress_bar = |message, steps| {
-        let is_hidden = traces.is_empty();
-        if is_hidden { ProgressBar::hidden() } else { progress::progress_bar(message, steps) }
-    };
     let bar = progress_bar("building tables", plans.len());
     let built = in_order(plans.par_iter().map(|plan| {
-        let built = build_tables(plan, path);
+        let built = build_tables(plan);
         bar.inc(1);
         built
     }))?;
     bar.finish_and_clear();
-    let has_curves = !traces.is_empty();
     let recordings: &[RecordingFolds] = plans.first().map_or(&[], |plan| &plan.recordings);
     let bar = progress_bar("replaying on the device's code", recordings.len());
     let mut channels: Vec<Vec<(u32, [Channel; 2])>> = vec![Vec::new(); plans.len()];
     let at_once = 2 * rayon::current_num_threads();
-    let points = (POINTS / (4 * traces.len().max(1))).clamp(50, 3000);
+    let points = traces.map(|count| (POINTS / (4 * count.max(1))).clamp(50, 3000));
+    let mut traces: Vec<ForceTrace> = Vec::new();
     let of_all: Vec<(usize, &f64)> =
         source.origins_s.iter().take(recordings.len()).enumerate().collect();
     let mut excitation =
@@ -187,8 +194,9 @@ fn evaluate_plans(
             .map(|(recording, origin_s, excitation)| {
                 let offsets = source.offsets.get(*recording);
                 let recording = *recording;
+                let alignment = source.alignment;
                 let replay = FoldReplay { plans, built: &built, recording, offsets, alignment };
-                let replayed = replay.run(*origin_s, excitation, has_curves);
+                let replayed = replay.run(*origin_s, excitation, points.is_some());
                 bar.inc(1);
                 replayed
             })
@@ -196,42 +204,38 @@ fn evaluate_plans(
             .into_iter()
             .collect::<Result<Vec<_>>>()?;
         for ((recording, ..), of_plans) in some.iter().zip(replayed) {
-            if let Some(sensors) = of_plans.first() {
-                add_to_traces(traces, &recordings[*recording].named.name, sensors, points);
+            if let Some((sensors, points)) = of_plans.first().zip(points) {
+                let name = &recordings[*recording].named.name;
+                traces.extend(sensors.iter().map(|sensor| sensor.trace(name, points)));
             }
             channels.iter_mut().zip(of_plans).for_each(|(channels, of)| pool(channels, of));
         }
     }
     bar.finish_and_clear();
     let evaluated = plans.iter().zip(built).zip(&channels);
-    let evaluated = evaluated.map(|((plan, built), channels)| match built {
-        Err(why) => ForceEvaluation { none: Some(why), ..ForceEvaluation::default() },
-        Ok(built) => {
-            let any = built.iter().flatten().next();
-            let uncompensated = any.map_or_else(Vec::new, |b| UncompensatedEffect::of(b).collect());
-            // Without centres no shape was representable.
-            let shape = any.map(|built| built.chosen.shape);
-            let shape = shape.filter(|shape| shape.centres_across > 0);
-            let mut result = ForceEvaluation { uncompensated, shape, ..finish(channels) };
-            result.error = ForceError::of(&result.errors, ErrorRows::of(&plan.validation));
-            if result.errors.is_empty() {
-                result.none = Some(MissingForces::NoValidRow);
+    let mut evaluated: Vec<ForceEvaluation> = evaluated
+        .map(|((plan, built), channels)| match built {
+            Err(why) => ForceEvaluation { none: Some(why), ..ForceEvaluation::default() },
+            Ok(built) => {
+                let any = built.iter().flatten().next();
+                let uncompensated =
+                    any.map_or_else(Vec::new, |b| UncompensatedEffect::of(b).collect());
+                // Without centres no shape was representable.
+                let shape = any.map(|built| built.chosen.shape);
+                let shape = shape.filter(|shape| shape.centres_across > 0);
+                let mut result = ForceEvaluation { uncompensated, shape, ..finish(channels) };
+                result.error = ForceError::of(&result.errors, ErrorRows::of(&plan.validation));
+                if result.errors.is_empty() {
+                    result.none = Some(MissingForces::NoValidRow);
+                }
+                result
             }
-            result
-        }
-    });
-    Ok(evaluated.collect())
-}
-
-/// Sets the curves of the forces of one recording, of at most this many points.
-fn add_to_traces(traces: &mut [Trace], recording: &str, sensors: &[SensorForces], points: usize) {
-    for sensor in sensors {
-        let matches = |t: &&mut Trace| t.recording == recording && t.sensor == sensor.number;
-        if let Some(trace) = traces.iter_mut().find(matches) {
-            let curve = |values: &Vec<f64>| Envelope::of(&sensor.time_s, values, points);
-            trace.force = sensor.curves.iter().map(|of| [curve(&of[0]), curve(&of[1])]).collect();
-        }
+        })
+        .collect();
+    if let Some(first) = evaluated.first_mut() {
+        first.traces = traces;
     }
+    Ok(evaluated)
 }
 
 /// Adds the errors of one recording to those of all, by sensor.
@@ -250,25 +254,26 @@ fn pool(all: &mut Vec<(u32, [Channel; 2])>, sensors: Vec<SensorForces>) {
 type FoldTables = Result<Vec<Option<DeviceModel>>, MissingForces>;
 
 /// Tables of the models of a plan that predict any row, all with the shape of the inverse of the file or of the fit to all rows.
-fn build_tables(plan: &CvPlan, path: &Path) -> Result<FoldTables> {
+fn build_tables(plan: &CvPlan) -> Result<FoldTables> {
     let is_used = |model: &usize| {
         let mut folds = plan.recordings.iter().flat_map(|recording| &recording.folds);
         folds.any(|(_, of)| of == model)
     };
-    let build = |model: &ModelFile| -> Result<DeviceModel> {
-        let bytes = toml::to_string(model)?;
-        Ok(build_model(model.clone(), path, bytes.as_bytes(), ModelVariant::Fitted)?)
+    let build = |path: &Path, file: ModelFile| -> Result<DeviceModel> {
+        let bytes = toml::to_string(&file)?;
+        Ok(build_model(file, path, bytes.as_bytes(), ModelVariant::Fitted)?)
     };
     let used: Vec<usize> = (0..plan.models.len()).filter(is_used).collect();
     let Some(whole) = plan.models.last().filter(|_| !used.is_empty()) else {
         return Ok(Ok(Vec::new()));
     };
-    let stated = plan.models.iter().find_map(|fold| fold.model.inverse);
-    let shape = stated.map_or_else(|| Ok(build(&whole.model)?.chosen.shape), Ok);
+    let stated = plan.models.iter().find_map(|model| model.file.inverse);
+    let shape = stated.map_or_else(|| Ok(build(&whole.path, whole.file.clone())?.chosen.shape), Ok);
     let all = shape.and_then(|shape| {
         let build = |place: &usize| {
-            let model = plan.models[*place].model.clone();
-            Ok((*place, build(&ModelFile { inverse: Some(shape), ..model })?))
+            let Model { path, file, .. } = &plan.models[*place];
+            let file = ModelFile { inverse: Some(shape), ..file.clone() };
+            Ok((*place, build(path, file)?))
         };
         used.par_iter().map(build).collect::<Result<Vec<_>>>()
     });
@@ -290,68 +295,6 @@ fn build_tables(plan: &CvPlan, path: &Path) -> Result<FoldTables> {
             }
             _ => Err(error),
         },
-    }
-}
-
-/// Excitation of the sensors, recording by recording in their order, where a model corrects recordings by it.
-pub struct CampaignExcitation {
-    /// Sensors with the load cycles so far; empty where nothing is corrected.
-    sensors: Vec<SensorLoads>,
-    before_s: f64,
-}
-
-/// The loads of one sensor so far.
-struct SensorLoads {
-    number: u32,
-    /// Forces of its model.
-    forces: Vec<(u32, Axis)>,
-    cycles: LoadCycleCounter,
-}
-
-/// Excitation of each sensor over one recording.
-pub type RecordingExcitation = Vec<(u32, ExcitationSeries)>;
-
-impl CampaignExcitation {
-    /// Of the sensors of these models.
-    pub fn of<'m>(models: impl Iterator<Item = &'m FoldModel>) -> Self {
-        let mut forces: Vec<(u32, Vec<(u32, Axis)>)> = models
-            .filter(|fold| {
-                fold.additions.iter().any(|of| of.error_origin() != ErrorOrigin::Compensated)
-            })
-            .flat_map(|fold| fold.model.sensors.iter().map(|of| (of.number, of.forces())))
-            .collect();
-        forces.sort_unstable();
-        forces.dedup_by_key(|(number, _)| *number);
-        let sensors = forces.into_iter().map(|(number, forces)| SensorLoads {
-            number,
-            forces,
-            cycles: LoadCycleCounter::default(),
-        });
-        Self { sensors: sensors.collect(), before_s: 0.0 }
-    }
-
-    /// Excitation of the next recording; empty where nothing is corrected.
-    ///
-    /// # Errors
-    /// The recording is unreadable.
-    pub fn next<'a>(
-        &mut self,
-        place: usize,
-        read: impl Fn(usize) -> Result<Cow<'a, Recording>, DataError>,
-    ) -> Result<RecordingExcitation, DataError> {
-        if self.sensors.is_empty() {
-            return Ok(Vec::new());
-        }
-        let recording = read(place)?;
-        let position = (place, self.before_s);
-        self.before_s += recording.span_s();
-        let series = self.sensors.iter_mut().filter_map(|sensor| {
-            let rows = RecordingRows::of(&recording, position, sensor.number, &sensor.forces)?;
-            let mut track = rows.track;
-            sensor.cycles.update(&mut track);
-            Some((sensor.number, track))
-        });
-        Ok(series.collect())
     }
 }
 
@@ -391,7 +334,7 @@ impl FoldReplay<'_> {
             let built = built.ok_or_else(|| anyhow!("{}: no tables were built", named.name))?;
             let irreducible =
                 if of.is_reducible { Irreducible::Subtracted } else { Irreducible::Kept };
-            let counts_events = has_event(&self.plans[of.plan].models);
+            let counts_events = self.has_origin(of.plan, |origin| origin == ErrorOrigin::Event);
             let models = ReplayModels::of(built);
             Ok(ReplayInput { models, corrections, irreducible, counts_events })
         });
@@ -460,11 +403,16 @@ impl FoldReplay<'_> {
         Ok(of_plans)
     }
 
+    /// Whether the models of a plan, which have the same effects, contain one of such an origin.
+    fn has_origin(&self, plan: usize, is_origin: impl Fn(ErrorOrigin) -> bool) -> bool {
+        self.plans[plan].models.first().is_some_and(|model| model.has_origin(is_origin))
+    }
+
     /// The replays of all plans with tables.
     fn replays(&self) -> Vec<FoldModelReplay> {
         let mut used = Vec::new();
         for (plan, (of, built)) in self.plans.iter().zip(self.built).enumerate() {
-            let is_irreducible = has_origin(&of.models, ErrorOrigin::is_irreducible);
+            let is_irreducible = self.has_origin(plan, ErrorOrigin::is_irreducible);
             let kinds: &[bool] = if is_irreducible { &[false, true] } else { &[false] };
             for &(_, model) in of.recordings[self.recording].folds.iter().filter(|_| built.is_ok())
             {
@@ -488,28 +436,17 @@ impl FoldReplay<'_> {
         origin_s: f64,
     ) -> Vec<SensorCorrections> {
         let plan = &self.plans[of.plan];
-        let (Some(fold), planned) = (plan.models.get(of.model), &plan.recordings[self.recording])
+        let (Some(model), planned) = (plan.models.get(of.model), &plan.recordings[self.recording])
         else {
             return Vec::new();
         };
         let clock_s = origin_s + 1e-6 * self.alignment.delay_us;
-        let mut corrections = fold.corrections(planned, excitation, clock_s);
+        let mut corrections = planned.named.corrections(model, excitation, clock_s);
         if let Some(offsets) = self.offsets {
             add_offsets(&mut corrections, offsets);
         }
         corrections
     }
-}
-
-/// Whether the effects of a model contain an event, whose rows are counted apart where the device detects it.
-pub fn has_event(folds: &[FoldModel]) -> bool {
-    has_origin(folds, |origin| origin == ErrorOrigin::Event)
-}
-
-/// Whether the models of folds, which have the same effects, contain one of such an origin.
-pub fn has_origin(folds: &[FoldModel], is_origin: impl Fn(ErrorOrigin) -> bool) -> bool {
-    let additions = folds.first().map_or(&[][..], |fold| &fold.additions[..]);
-    additions.iter().any(|effect| is_origin(effect.error_origin()))
 }
 
 /// Sets number, noise and tare of the sensors; a tare only if one model replayed the `whole` recording.
@@ -527,6 +464,16 @@ fn add_noise_and_tare(segment: &mut [SensorForces], replayed: &RecordingReplay, 
 }
 
 impl SensorForces {
+    /// Its curves, of at most this many points.
+    fn trace(&self, recording: &str, points: usize) -> ForceTrace {
+        let curve = |values: &Vec<f64>| Envelope::of(&self.time_s, values, points);
+        ForceTrace {
+            recording: recording.to_owned(),
+            sensor: self.number,
+            force: self.curves.iter().map(|of| [curve(&of[0]), curve(&of[1])]).collect(),
+        }
+    }
+
     fn append(&mut self, other: Self) {
         self.time_s.extend(other.time_s);
         for (own, other) in self.curves.iter_mut().flatten().zip(other.curves.into_iter().flatten())

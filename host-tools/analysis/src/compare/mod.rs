@@ -3,7 +3,7 @@
 //! [`Comparison`] holds all results; terminal, report and `--json` format them.
 //!
 //! - [`pipeline`]: from model and campaign to a [`Comparison`].
-//! - [`campaign_reader`]: recordings, cached or streamed.
+//! - [`campaign_reader`]: recordings, cached or streamed. [`checked_campaign`]: with their setup errors.
 //! - [`cv_plan`]: cross-validation, so that no row is predicted by a model fitted to it.
 //! - [`field_errors`], [`force_errors`]: errors of the field, and of the forces through the device's code.
 //! - [`covariates`], [`residual_table`]: residuals with everything they may depend on.
@@ -25,7 +25,9 @@ use serde::ser::{SerializeStruct, Serializer};
 
 pub mod attribution;
 pub mod bootstrap_bands;
+pub mod campaign_excitation;
 pub mod campaign_reader;
+pub mod checked_campaign;
 pub mod covariates;
 pub mod cv_plan;
 pub mod field_errors;

@@ -2,29 +2,27 @@
 
 use crate::compare::attribution::{Attributor, RankedCovariate};
 use crate::compare::bootstrap_bands::BlockBootstrap;
-use crate::compare::campaign_reader::{CampaignReader, ScannedCampaign};
-use crate::compare::cv_plan::{CvPlan, ModelRefit};
+use crate::compare::campaign_reader::CampaignReader;
+use crate::compare::checked_campaign::CheckedCampaign;
+use crate::compare::cv_plan::CvPlan;
 use crate::compare::field_errors::{FieldEvaluation, SensorEvaluation, evaluate_fields};
-use crate::compare::force_errors::{Recordings, evaluate_forces};
+use crate::compare::force_errors::{ForceEvaluation, ForceTrace, Recordings, evaluate_forces};
 use crate::compare::pure_error::{drift_at_rest, pure_error};
 use crate::compare::residual_table::{ResidualTable, error_unit, residual_map, worst_intervals};
 use crate::compare::{
-    Attribution, Comparison, ComparisonProvenance, EffectOrigin, FieldAxisErrors, NoiseFloor,
+    Attribution, Comparison, ComparisonProvenance, EffectOrigin, FieldAxisErrors, NoiseFloor, Trace,
 };
-use crate::data_quality::campaign_checks::{campaign_findings, is_of_set_covariates};
-use crate::data_quality::model_checks::SensorPrediction;
-use crate::data_quality::{Finding, check_against_model, merge};
+use crate::data_quality::finding::Finding;
+use crate::model::Model;
 use crate::noise_floor::NoiseSummary;
 use crate::notes::{Note, collect};
-use crate::progress;
 use anyhow::{Result, bail};
+use model_export::effects::EffectTerm;
 use model_export::effects::excitation::source_column;
-use model_export::effects::{EffectTerm, ExcitationSeries};
 use model_export::fit::FitOptions;
 use model_export::fit::campaign::FitSetup;
 use model_export::fit::joint::JointFit;
-use model_export::fit::rows::SensorRows;
-use model_export::model_file::{ModelFile, Predictor};
+use model_export::model_file::ModelFile;
 use model_export::recordings::Location;
 use model_export::recordings::columns::Axis;
 use model_export::recordings::noise::autocorrelation_rows;
@@ -34,120 +32,63 @@ use std::path::Path;
 /// Minimum length of a bootstrap block in seconds.
 const MIN_BLOCK_S: f64 = 1.0;
 
-/// Setup errors of a campaign, from its files and from the predictions of the model at `path`.
-///
-/// # Errors
-/// A recording cannot be read.
-pub fn setup_errors_of(
-    scanned: &ScannedCampaign,
-    model: &ModelFile,
-    path: &Path,
-) -> Result<Vec<Finding>> {
-    let of_model = match &scanned.reader {
-        Some(source) => model_findings(source, model, &model.effect_terms(path)?)?,
-        None => Vec::new(),
-    };
-    let mut findings = merge(scanned.findings.clone(), of_model);
-    if let Some(campaign) = scanned.reader.as_ref().and_then(CampaignReader::cached) {
-        findings.retain(|finding| !is_of_set_covariates(finding, campaign));
-        findings.extend(campaign_findings(campaign));
-    }
-    Ok(findings)
+/// A fit of a model's effects to all recordings of a campaign, cross-validated as a comparison does.
+pub struct ModelRefit {
+    /// Rows and base models.
+    pub setup: FitSetup,
+    pub fit: JointFit,
+    /// Held-out errors of the forces, where they were computed with traces.
+    pub forces: Option<ForceEvaluation>,
 }
 
-/// Compares the model at `path`, and the one at `other` on the same rows, with a campaign and its setup errors. `refit` is a fit of the model to all of its recordings, if known.
+impl ModelRefit {
+    /// The fit for [`evaluate`].
+    fn known(&self) -> KnownFit<'_> {
+        KnownFit { setup: &self.setup, fit: &self.fit, forces: self.forces.as_ref() }
+    }
+}
+
+/// See [`ModelRefit`].
+#[derive(Clone, Copy)]
+pub(crate) struct KnownFit<'a> {
+    pub setup: &'a FitSetup,
+    pub fit: &'a JointFit,
+    pub forces: Option<&'a ForceEvaluation>,
+}
+
+/// Compares a model, and a baseline on the same rows, with a campaign. `refit` is a fit of the model to all of its recordings, if
+/// known.
 ///
 /// # Errors
-/// A file cannot be read, or model and recordings do not match.
-pub fn compare_scanned(
-    (path, model): (&Path, &ModelFile),
-    other: Option<&Path>,
-    (scanned, findings): (ScannedCampaign, Vec<Finding>),
+/// A recording cannot be read, or model and recordings do not match.
+pub fn compare_checked(
+    model: &Model,
+    baseline: Option<&Model>,
+    checked: &CheckedCampaign,
     refit: Option<&ModelRefit>,
     options: FitOptions,
 ) -> Result<Comparison> {
-    if let Some(source) = &scanned.reader {
-        source.check_distinct()?;
-    }
-    let is_stopped = findings.iter().any(|finding| finding.stops);
-    let Some(source) = scanned.reader.filter(|_| !is_stopped) else {
+    let Some(source) = checked.distinct()? else {
         return Ok(Comparison {
-            model: path.display().to_string(),
-            campaign: scanned.folder.display().to_string(),
-            findings,
+            model: model.path.display().to_string(),
+            campaign: checked.folder.display().to_string(),
+            findings: checked.findings.clone(),
             ..Comparison::default()
         });
     };
     collect(|notes| {
-        let refit = refit.map(|refit| (&refit.setup, &refit.fit));
-        let baseline = match other {
-            Some(other) => Some((other, ModelFile::read(other)?)),
-            None => None,
-        };
-        let of_baseline = match &baseline {
-            Some((path, baseline)) => baseline.effect_terms(path)?,
-            None => Vec::new(),
-        };
-        let how = (&findings[..], options);
-        let mut comparison = evaluate(path, model, &source, refit, &of_baseline, how, notes)?;
-        if let Some((other, baseline)) = &baseline {
-            let effects = model.effect_terms(path)?;
-            let evaluated = evaluate(other, baseline, &source, None, &effects, how, notes)?;
+        let refit = refit.map(ModelRefit::known);
+        let of_baseline = baseline.map_or(&[][..], |baseline| &baseline.effects[..]);
+        let how = (&checked.findings[..], options);
+        let mut comparison = evaluate(model, source, refit, of_baseline, how, notes)?;
+        if let Some(baseline) = baseline {
+            let evaluated = evaluate(baseline, source, None, &model.effects, how, notes)?;
             comparison.other = Some(Box::new(evaluated));
         }
-        comparison.findings = findings;
+        comparison.findings.clone_from(&checked.findings);
         comparison.notes = std::mem::take(notes);
         Ok(comparison)
     })
-}
-
-/// Setup errors that are detectable only with a model, some recordings at a time.
-///
-/// # Errors
-/// A recording cannot be read.
-pub(crate) fn model_findings(
-    source: &CampaignReader,
-    model: &ModelFile,
-    additions: &[EffectTerm],
-) -> Result<Vec<Finding>> {
-    let mut findings = Vec::new();
-    let places: Vec<usize> = (0..source.names.len()).collect();
-    let bar = progress::progress_bar("checking columns against the model", places.len());
-    for places in places.chunks(source.at_once) {
-        let campaign = source.campaign(places)?;
-        let rows = model.sensors.iter().filter_map(|sensor| {
-            let predictor = model.predictor(sensor.number, additions)?;
-            // Hypotheses on the force columns are of pairs.
-            let rows = SensorRows::with_own_forces(&campaign, sensor.number).ok()?;
-            (rows.forces.len() == 2).then(|| (rows.turned(sensor.orientation), predictor))
-        });
-        let rows: Vec<(SensorRows, Predictor)> = rows.collect();
-        let place_of = |recording: usize| {
-            let named = places.get(recording).and_then(|place| source.names.get(*place));
-            let fitted = &model.provenance.recordings;
-            let found = fitted.iter().position(|f| Some(&f.sha256) == named.map(|n| &n.sha256));
-            found.unwrap_or(fitted.len())
-        };
-        let predicts: Vec<_> = rows
-            .iter()
-            .map(|(_, predictor)| {
-                move |track: &ExcitationSeries| {
-                    let track =
-                        ExcitationSeries { recording: place_of(track.recording), ..track.clone() };
-                    predictor.fields(&track).unwrap_or_default()
-                }
-            })
-            .collect();
-        let sensors: Vec<SensorPrediction> = rows
-            .iter()
-            .zip(&predicts)
-            .map(|((rows, _), predict)| SensorPrediction { rows, predict })
-            .collect();
-        findings.extend(check_against_model(&campaign, source.alignment, &sensors));
-        bar.inc(places.len() as u64);
-    }
-    bar.finish_and_clear();
-    Ok(findings)
 }
 
 /// Evaluates one model on checked recordings. `refit` is a fit of it to all of them, if known; `compared` are the effects of the
@@ -156,19 +97,20 @@ pub(crate) fn model_findings(
 /// # Errors
 /// A recording cannot be read, or model and recordings do not match.
 pub(crate) fn evaluate(
-    path: &Path,
-    model: &ModelFile,
+    model: &Model,
     source: &CampaignReader,
-    refit: Option<(&FitSetup, &JointFit)>,
+    refit: Option<KnownFit>,
     compared: &[EffectTerm],
     (findings, options): (&[Finding], FitOptions),
     notes: &mut Vec<Note>,
 ) -> Result<Comparison> {
-    let (fitted_ms, delay_ms) = (model.provenance.delay_ms, source.alignment.delay_us / 1e3);
+    let Model { path, file, effects } = model;
+    let (fitted_ms, delay_ms) = (file.provenance.delay_ms, source.alignment.delay_us / 1e3);
     if fitted_ms != delay_ms {
-        notes.push(Note::ComparisonDelay { model: path.to_path_buf(), fitted_ms, delay_ms });
+        notes.push(Note::ComparisonDelay { model: path.clone(), fitted_ms, delay_ms });
     }
-    let plan = CvPlan::new(path, model, source, refit, compared, options)?;
+    let fit = refit.map(|refit| (refit.setup, refit.fit));
+    let plan = CvPlan::new(model, source, fit, compared, options)?;
     let mut fields = evaluate_fields(&plan, source, notes)?;
     // A finding covers its column in all recordings; notices of that column are not repeated.
     let is_reported = |place: &Location| {
@@ -179,18 +121,29 @@ pub(crate) fn evaluate(
     };
     let unreported = fields.notices.iter().filter(|notice| !is_reported(&notice.location));
     notes.extend(unreported.cloned().map(Note::Recording));
-    let alignment = source.alignment;
-    let read = |place| source.read(place);
-    let recordings = Recordings { origins_s: &fields.origins_s, offsets: &[], read: &read };
-    let device = evaluate_forces(&plan, path, alignment, recordings, &mut fields.traces)?;
+    let known = refit.and_then(|refit| refit.forces).filter(|forces| {
+        plan.is_of_known_fit && file.inverse.is_none_or(|shape| forces.shape == Some(shape))
+    });
+    let device = match known {
+        Some(forces) => forces.clone(),
+        None => {
+            let recordings = Recordings {
+                alignment: source.alignment,
+                origins_s: &fields.origins_s,
+                offsets: &[],
+                read: &|place| source.read(place),
+            };
+            evaluate_forces(&plan, recordings, fields.traces.len())?
+        }
+    };
+    add_forces(&mut fields.traces, &device.traces);
     let columns: Vec<ResidualTable> = fields
         .sensors
         .iter_mut()
         .map(|sensor| std::mem::replace(&mut sensor.columns, ResidualTable::new(0, &[])))
         .collect();
     let axes = axes(&fields, &columns);
-    let effects = model.effect_terms(path)?;
-    check_finite(path, &axes, &effects)?;
+    check_finite(path, &axes, effects)?;
     notes.extend(other_gripper(&axes));
     let mut without_estimate: Vec<u32> = device
         .errors
@@ -213,7 +166,7 @@ pub(crate) fn evaluate(
         validation: Some(plan.validation.clone()),
         axes,
         forces: device.errors,
-        origins: EffectOrigin::of(&model.effects),
+        origins: EffectOrigin::of(&file.effects),
         no_forces: device.none,
         located: located(&columns, &locator, &ranked, block_s, options.seed),
         not_recorded: not_recorded(&columns),
@@ -226,10 +179,20 @@ pub(crate) fn evaluate(
         noise: NoiseSummary::of(fields.noise.iter()),
         traces: fields.traces,
         histograms: device.histograms,
-        provenance: Some(provenance(model, &plan, block_s, options)),
+        provenance: Some(provenance(file, &plan, block_s, options)),
         ..Comparison::default()
     };
     Ok(comparison)
+}
+
+/// Adds the forces over time to the fields of the same sensor and recording.
+fn add_forces(traces: &mut [Trace], forces: &[ForceTrace]) {
+    for of in forces {
+        let is_same = |one: &&mut Trace| one.recording == of.recording && one.sensor == of.sensor;
+        if let Some(trace) = traces.iter_mut().find(is_same) {
+            trace.force.clone_from(&of.force);
+        }
+    }
 }
 
 /// Checks that the model gives a field in every row.

@@ -21,7 +21,7 @@ use crate::diagnose::recording_plan::RecordingProposal;
 use crate::diagnose::remaining_structure::RemainingStructure;
 use crate::diagnose::selection::{DroppedStep, Selection};
 use crate::diagnose::shapes::EffectShape;
-use crate::diagnose::verdict::{Reason, Unexplained, Verdict, VerdictKind};
+use crate::diagnose::verdict::{Unexplained, Verdict, VerdictKind};
 use crate::noise_floor::NoiseSummary;
 
 #[derive(Clone, Debug, Default)]
@@ -101,18 +101,8 @@ impl Diagnosis {
         if equivalent_formulas.is_empty() {
             return;
         }
-        let is_accepted =
-            |verdict: &&mut Verdict| matches!(verdict.kind, VerdictKind::Found | VerdictKind::Tied);
-        for verdict in self.verdicts.iter_mut().filter(is_accepted) {
-            (verdict.kind, verdict.reason) = (VerdictKind::Tied, Reason::Equivalent);
-            verdict
-                .tied_with
-                .extend(equivalent_formulas.iter().map(|formula| formula.name.clone()));
-            if verdict.record.is_empty() {
-                let effect = find(&verdict.effect);
-                verdict.record = effect.map_or_else(|_| String::new(), |one| one.record.to_owned());
-            }
-        }
+        let causes: Vec<String> = equivalent_formulas.iter().map(|one| one.name.clone()).collect();
+        self.verdicts.iter_mut().filter(|one| one.is_accepted()).for_each(|one| one.tie(&causes));
         self.equivalent_formulas = equivalent_formulas;
     }
 
@@ -131,9 +121,7 @@ impl Diagnosis {
 
     /// Whether an effect is present, or equivalent to one that is.
     pub(super) fn has_accepted(&self, effect: &EffectTerm) -> bool {
-        let is_accepted =
-            |one: &Verdict| matches!(one.kind, VerdictKind::Found | VerdictKind::Tied);
-        self.verdicts.iter().any(|one| one.effect == effect.name() && is_accepted(one))
+        self.verdicts.iter().any(|one| one.effect == effect.name() && one.is_accepted())
     }
 
     /// An accepted effect is equivalent to these causes.
@@ -146,13 +134,8 @@ impl Diagnosis {
                 step.added.extend(causes.iter().cloned());
             }
         }
-        for verdict in self.verdicts.iter_mut().filter(|one| one.effect == effect.name()) {
-            (verdict.kind, verdict.reason) = (VerdictKind::Tied, Reason::Equivalent);
-            verdict.tied_with.extend(causes.iter().cloned());
-            if verdict.record.is_empty() {
-                verdict.record = effect.effect().map_or("", |known| known.record).to_owned();
-            }
-        }
+        let own = self.verdicts.iter_mut().filter(|one| one.effect == effect.name());
+        own.for_each(|one| one.tie(causes));
     }
 
     /// Sets the force error of each step, and from it the excess of each verdict.

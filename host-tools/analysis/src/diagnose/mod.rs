@@ -25,7 +25,7 @@
 
 pub use diagnosis::{ConfoundedOffsets, Diagnosis, StaircaseStep, Suggestion, SuggestionKind};
 pub use formulas::discovered::DiscoveredFormula;
-pub use pipeline::{Scope, diagnose};
+pub use pipeline::{Scope, diagnose, diagnose_checked};
 pub use selection::{DropReason, DroppedStep};
 pub use shapes::EffectShape;
 pub use verdict::{AssumedTimes, Reason, Unexplained, Verdict, VerdictKind};

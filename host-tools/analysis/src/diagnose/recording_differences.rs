@@ -21,6 +21,7 @@ use crate::data_quality::finding::Finding;
 use crate::data_quality::fix::{Change, Fix, FixKind, Repair};
 use crate::diagnose::candidates::candidates;
 use crate::diagnose::fitted_model::FittedModel;
+use crate::model::Model;
 use crate::replay::corrections::RecordingOffsets;
 
 /// Identifier of the findings.
@@ -125,17 +126,13 @@ pub fn find(
 }
 
 /// Findings of [`find`] next to a model, which is fitted to a sample of the campaign's rows; none where these do not determine it.
-pub fn next_to(
-    campaign: &Campaign,
-    model: &ModelFile,
-    effects: Vec<EffectTerm>,
-    options: FitOptions,
-) -> Vec<Finding> {
-    let setup = model.fit_setup(campaign, options);
+pub fn next_to(campaign: &Campaign, model: &Model, options: FitOptions) -> Vec<Finding> {
+    let setup = model.file.fit_setup(campaign, options);
     let found = setup.ok().and_then(|setup| {
         let sample = setup.sampled(SEARCH_ROWS);
-        let fitted = FittedModel::without_validation(&sample, effects, options).ok()?;
-        find(campaign, model, (&setup, &fitted), options)
+        let fitted =
+            FittedModel::without_validation(&sample, model.effects.clone(), options).ok()?;
+        find(campaign, &model.file, (&setup, &fitted), options)
     });
     let found = found.filter(|found| found.rivals.is_empty());
     found.map_or_else(Vec::new, |found| found.differences.findings)

@@ -1,5 +1,6 @@
 //! The verdict on one effect: present, absent or open, and why.
 
+use model_export::effects::find;
 use serde::Serialize;
 
 /// Kind of a verdict, in the order of display.
@@ -147,6 +148,22 @@ pub struct Verdict {
     pub reason: Reason,
     /// Recording that would decide; empty if none is needed.
     pub record: String,
+}
+
+impl Verdict {
+    /// Whether the effect is present, or equivalent to one that is.
+    pub fn is_accepted(&self) -> bool {
+        matches!(self.kind, VerdictKind::Found | VerdictKind::Tied)
+    }
+
+    /// Makes it equivalent to these causes.
+    pub(super) fn tie(&mut self, causes: &[String]) {
+        (self.kind, self.reason) = (VerdictKind::Tied, Reason::Equivalent);
+        self.tied_with.extend(causes.iter().cloned());
+        if self.record.is_empty() {
+            self.record = find(&self.effect).map_or("", |effect| effect.record).to_owned();
+        }
+    }
 }
 
 /// Residual structure that depends on a covariate and that no effect explains.

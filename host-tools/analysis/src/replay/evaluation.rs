@@ -21,10 +21,10 @@ use model_export::recordings::recording::recording_name;
 use model_export::recordings::stream::RawStream;
 use rayon::prelude::*;
 
+use crate::compare::campaign_excitation::CampaignExcitation;
 use crate::compare::campaign_reader::{Caching, CampaignReader, check_sensor_scale};
-use crate::compare::cv_plan::{FoldModel, RecordingFolds};
-use crate::compare::force_errors::{CampaignExcitation, has_event, has_origin};
 use crate::compare::{EffectOrigin, ErrorRows, FlaggedRows, ForceError};
+use crate::model::Model;
 use crate::notes::{Note, UncompensatedEffect};
 use crate::progress;
 use crate::replay::corrections::{Irreducible, SensorCorrections};
@@ -88,8 +88,9 @@ pub fn evaluate(
     for (linear, fitted) in linear.sensors.iter_mut().zip(&fitted.tables.sensors) {
         linear.axes = fitted.axes;
     }
-    let fold = [FoldModel { additions: file.effect_terms(model)?, model: file.clone() }];
-    let counts_events = has_event(&fold);
+    let model =
+        Model { effects: file.effect_terms(model)?, path: model.to_path_buf(), file: file.clone() };
+    let counts_events = model.has_origin(|origin| origin == ErrorOrigin::Event);
     let variant = |tables, float, compensations, networks| ReplayInput {
         models: ReplayModels {
             numbers: &header.sensors,
@@ -118,12 +119,12 @@ pub fn evaluate(
     if networks.is_some() {
         models.push(variant(&fitted.tables, None, &compensations, None));
     }
-    let is_irreducible = has_origin(&fold, ErrorOrigin::is_irreducible);
+    let is_irreducible = model.has_origin(ErrorOrigin::is_irreducible);
     if is_irreducible {
         let variant = variant(&fitted.tables, None, &compensations, networks.as_ref());
         models.push(ReplayInput { irreducible: Irreducible::Subtracted, ..variant });
     }
-    let corrections = corrections(campaign, &fold, alignment)?;
+    let corrections = corrections(campaign, &model, alignment)?;
     let mut replayed = replay_all(&folders, &models, &corrections, alignment)?.into_iter();
     let mut next = || replayed.next().unwrap_or_default();
     let (replayed, linear) = (next(), next());
@@ -210,23 +211,20 @@ fn differences(folders: &[PathBuf], model: &ModelFile, alignment: Alignment) -> 
 /// Corrections of each recording, by its folder, for the tables of a model.
 fn corrections(
     campaign: &Path,
-    fold: &[FoldModel],
+    model: &Model,
     alignment: Alignment,
 ) -> Result<HashMap<PathBuf, Vec<SensorCorrections>>> {
     let mut all = HashMap::new();
-    let Some(model) = fold.first() else { return Ok(all) };
-    if !has_origin(fold, |origin| origin != ErrorOrigin::Compensated) {
+    if !model.has_origin(|origin| origin != ErrorOrigin::Compensated) {
         return Ok(all);
     }
     let source = CampaignReader::open(campaign, alignment, Caching::IfFew)?;
-    let mut excitation = CampaignExcitation::of(fold.iter());
+    let mut excitation = CampaignExcitation::of(std::iter::once(model));
     for (place, named) in source.names.iter().enumerate() {
         let excitation = excitation.next(place, |place| source.read(place))?;
         let first_s = source.read(place)?.time_s.first().copied().unwrap_or(0.0);
-        let folds = vec![(f64::INFINITY, 0)];
-        let recording = RecordingFolds { named: named.clone(), folds };
         let clock_s = first_s + 1e-6 * alignment.delay_us;
-        let of_sensors = model.corrections(&recording, &excitation, clock_s);
+        let of_sensors = named.corrections(model, &excitation, clock_s);
         all.insert(named.folder.clone(), of_sensors);
     }
     Ok(all)

@@ -9,6 +9,7 @@ use analysis::diagnose::observer::Observer;
 use analysis::diagnose::{Scope, StaircaseStep, diagnose};
 use analysis::edit_model::refit;
 use analysis::fit::fit_model;
+use analysis::model::Model;
 use analysis::reference_delay::align_recording;
 use analysis::replay::replay_with;
 use anyhow::{Context, Result, bail, ensure};
@@ -133,10 +134,10 @@ pub fn identify(
     let fit = fit_model(&campaign, BaseKind::Cylinder, None, ALIGNED, options)?;
     fit.model.write(&plain)?;
     let recordings = read_campaign(&campaign, ALIGNED)?;
+    let model = Model::base(&plain, fit.model);
     let (diagnosis, _) = diagnose(
         (&recordings, ALIGNED),
-        &fit.model,
-        &plain,
+        &model,
         &[],
         Scope::CATALOGUE,
         options,
@@ -144,10 +145,10 @@ pub fn identify(
     )?;
     let effects: Vec<EffectTerm> =
         diagnosis.accepted_steps()?.into_iter().flat_map(|(_, terms)| terms).collect();
-    let model = if effects.is_empty() {
+    let path = if effects.is_empty() {
         plain.clone()
     } else {
-        let edit = refit(recordings, &fit.model, Vec::new(), effects, ALIGNED, options)?;
+        let edit = refit(recordings, &model, effects, ALIGNED, options)?;
         edit.model.write(&better)?;
         better
     };
@@ -157,7 +158,7 @@ pub fn identify(
     let stairs = &diagnosis.staircase;
     Ok(Identification {
         plain,
-        model,
+        model: path,
         floors: [floors(stairs.first()), floors(stairs.last())],
         accepted: diagnosis.accepted,
     })

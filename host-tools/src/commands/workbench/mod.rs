@@ -469,7 +469,7 @@ async fn write(State(server): State<Server>, Json(request): Json<WriteRequest>) 
         let path = &request.path;
         let message = match request.kind {
             Kind::Model => {
-                shown.model.write(path)?;
+                shown.model.file.write(path)?;
                 format!("Written to {}.", path.display())
             }
             Kind::Report => {
@@ -497,14 +497,14 @@ async fn write(State(server): State<Server>, Json(request): Json<WriteRequest>) 
             }
             Kind::Tables => {
                 check_output(path, TABLES_MARK)?;
-                let built = tables(&shown.model)?;
+                let built = tables(&shown.model.file)?;
                 check_compensated(&built, "export")?;
                 write_output(path, tables_source(&built).as_bytes(), TABLES_MARK)?;
                 format!("Written to {}.{}", path.display(), conditions(&built))
             }
             Kind::Board => {
                 let live = live.context("no gripper is connected: give --port or --can")?;
-                let built = tables(&shown.model)?;
+                let built = tables(&shown.model.file)?;
                 check_compensated(&built, "upload")?;
                 live.upload(&built)?.text(false) + &conditions(&built)
             }

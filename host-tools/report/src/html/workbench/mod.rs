@@ -134,8 +134,8 @@ pub fn state(
     baseline: Option<&WorkbenchModel>,
     commands: &[String],
 ) -> Value {
-    let device = device_support(&model.model, &model.effects);
-    let present = model.effects.iter().zip(&model.model.effects).zip(device);
+    let device = device_support(&model.model.file, &model.model.effects);
+    let present = model.model.effects.iter().zip(&model.model.file.effects).zip(device);
     let present = present.map(|((term, effect), device)| {
         let formula = match term {
             EffectTerm::Expression(expression) => Some(&expression.text),
