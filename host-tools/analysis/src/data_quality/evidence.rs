@@ -1,5 +1,7 @@
 //! Evidence of the setup errors, as data.
 
+use std::collections::BTreeSet;
+
 use model_export::fit::recording_differences::DifferenceCause;
 use model_export::recordings::dependence::DependenceKind;
 use serde::Serialize;
@@ -288,6 +290,19 @@ pub struct RecordingSet {
     pub names: Vec<String>,
     /// True if these are all recordings of the campaign.
     pub is_all: bool,
+}
+
+impl RecordingSet {
+    /// Of the places of some of these recordings.
+    pub fn of<'a>(
+        places: impl IntoIterator<Item = usize>,
+        names: impl ExactSizeIterator<Item = &'a String>,
+    ) -> Self {
+        let places: BTreeSet<usize> = places.into_iter().collect();
+        let is_all = places.len() == names.len();
+        let named = names.enumerate().filter(|(place, _)| places.contains(place));
+        Self { names: named.map(|(_, name)| name.clone()).collect(), is_all }
+    }
 }
 
 /// Columns with the same finding.

@@ -1,7 +1,7 @@
 //! Corrections of recordings: what `--fix` changes.
 
 use std::fmt;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
@@ -44,6 +44,14 @@ pub struct Repair {
     pub file: PathBuf,
     /// Change to apply.
     pub change: Change,
+}
+
+impl Repair {
+    /// Replaces each value of a column by `value * factor + offset`.
+    pub fn convert(file: &Path, column: &str, factor: f64, offset: f64) -> Self {
+        let column = column.to_owned();
+        Self { file: file.to_path_buf(), change: Change::Convert { column, factor, offset } }
+    }
 }
 
 /// Change that preserves all measured values.

@@ -97,16 +97,11 @@ pub fn best_candidate(
     };
     let best = outcome.best;
     let step = AcceptedStep {
-        is_of_pair: false,
-        chosen: best.screened.candidate.clone(),
         tied: outcome.tied,
         shadows: outcome.shadows,
         gain: best.gain,
         reduction: best.reduction,
-        p_adjusted: best.screened.p_of_acceptance(),
-        inclusion: best.screened.inclusion,
-        z_typical: best.screened.evidence.z_typical,
-        form_gain: 0.0,
+        ..AcceptedStep::new(best.screened, &best.stage, stage)
     };
     let own = prepared.split(&best.stage.effects);
     Ok(Some((step, best.stage.with_split(prepared, own, options))))

@@ -2,7 +2,7 @@
 //! bootstrap.
 
 use crate::diagnose::fitted_model::MIN_GAIN;
-use crate::diagnose::verdict::{AssumedTimes, Reason, Verdict, VerdictKind};
+use crate::diagnose::verdict::{AssumedTimes, Reason, Verdict, record_of};
 use crate::statistics::mean_and_std;
 use model_export::effects::excitation::{BUILT_IN_COVARIATES, OPENING_RATE, source_column};
 use model_export::effects::{CATALOGUE, EffectTerm};
@@ -29,24 +29,8 @@ pub struct UntestableEffect {
 impl UntestableEffect {
     /// The verdict that these recordings cannot test it.
     pub fn verdict(&self) -> Verdict {
-        Verdict {
-            effect: self.effect.clone(),
-            kind: VerdictKind::Inconclusive,
-            provisional: false,
-            tied_with: Vec::new(),
-            reproduces: Vec::new(),
-            excess_n: None,
-            gain: 0.0,
-            p_adjusted: f64::NAN,
-            inclusion: f64::NAN,
-            value: f64::NAN,
-            std_error: f64::NAN,
-            unit: String::new(),
-            z_typical: 0.0,
-            implausible: None,
-            reason: self.reason.clone(),
-            record: self.record.clone(),
-        }
+        let record = self.record.clone();
+        Verdict { record, ..Verdict::inconclusive(&self.effect, self.reason.clone()) }
     }
 }
 
@@ -70,11 +54,10 @@ pub fn candidates(
                     reason,
                     Reason::NeedsGeometry | Reason::InPolynomial | Reason::NotAField(_)
                 );
-                let effect = candidate.effect().filter(|_| !is_of_model);
                 untestable.push(UntestableEffect {
                     effect: candidate.name().to_owned(),
                     reason,
-                    record: effect.map_or_else(String::new, |effect| effect.record.to_owned()),
+                    record: if is_of_model { String::new() } else { record_of(&candidate) },
                 });
             }
             None => testable.push(candidate),

@@ -6,7 +6,7 @@ use crate::diagnose::diagnosis::{Diagnosis, StaircaseStep};
 use crate::diagnose::fitted_model::FittedModel;
 use crate::diagnose::formulas::discovered::DiscoveredFormula;
 use crate::diagnose::selection::{AcceptedStep, Selection};
-use crate::diagnose::verdict::{Reason, Unexplained, Verdict, VerdictKind};
+use crate::diagnose::verdict::{Reason, Unexplained, Verdict, VerdictKind, record_of};
 use model_export::effects::EffectTerm;
 use model_export::fit::effect_size::{EffectSize, effect_sizes};
 
@@ -109,34 +109,26 @@ fn of_step(
     let found = effect_sizes(&last.fit, &last.effects, recordings);
     let size = last.effects.iter().position(|effect| *effect == step.chosen).map(|i| &found[i]);
     let all = names(step);
-    let record = |effect: &EffectTerm| {
-        effect.effect().map_or_else(String::new, |effect| effect.record.to_owned())
-    };
     let base = |effect: &EffectTerm, kind: VerdictKind| Verdict {
-        effect: effect.name().to_owned(),
         kind,
         provisional: !complete,
-        reproduces: Vec::new(),
-        tied_with: all.iter().filter(|name| *name != effect.name()).cloned().collect(),
-        excess_n: None,
-        gain: step.gain,
-        p_adjusted: step.p_adjusted,
-        inclusion: step.inclusion,
-        value: f64::NAN,
-        std_error: f64::NAN,
         unit: effect.size_unit().into_owned(),
-        z_typical: step.z_typical,
-        implausible: None,
-        reason: Reason::ReducesError,
-        record: String::new(),
+        ..Verdict::inconclusive(effect.name(), Reason::ReducesError)
     };
     let mut verdicts = Vec::new();
+    let is_tied = !step.tied.is_empty();
+    let kind = if is_tied { VerdictKind::Tied } else { VerdictKind::Found };
     for effect in std::iter::once(&step.chosen).chain(&step.tied) {
-        let mut verdict =
-            base(effect, if step.tied.is_empty() { VerdictKind::Found } else { VerdictKind::Tied });
-        if !step.tied.is_empty() {
-            verdict.reason = Reason::Equivalent;
-            verdict.record = record(effect);
+        let mut verdict = Verdict {
+            tied_with: all.iter().filter(|name| *name != effect.name()).cloned().collect(),
+            gain: step.gain,
+            p_adjusted: step.p_adjusted,
+            inclusion: step.inclusion,
+            z_typical: step.z_typical,
+            ..base(effect, kind)
+        };
+        if is_tied {
+            (verdict.reason, verdict.record) = (Reason::Equivalent, record_of(effect));
         }
         if *effect == step.chosen
             && let Some(size) = size
@@ -147,29 +139,25 @@ fn of_step(
         }
         verdicts.push(verdict);
     }
-    for effect in &step.shadows {
-        let mut verdict = base(effect, VerdictKind::Shadow);
-        verdict.tied_with.clear();
-        (verdict.gain, verdict.p_adjusted, verdict.z_typical) = (f64::NAN, f64::NAN, f64::NAN);
-        verdict.inclusion = f64::NAN;
-        verdict.reason = Reason::ExplainedBetter(all.clone());
-        verdicts.push(verdict);
-    }
+    verdicts.extend(step.shadows.iter().map(|effect| Verdict {
+        gain: f64::NAN,
+        z_typical: f64::NAN,
+        reason: Reason::ExplainedBetter(all.clone()),
+        ..base(effect, VerdictKind::Shadow)
+    }));
     verdicts
 }
 
 /// Verdict on an effect that reduces the error of the sample, but not that of all rows.
 fn unconfirmed(effect: &EffectTerm, step: &AcceptedStep, complete: bool) -> Verdict {
-    let record = effect.effect().map_or_else(String::new, |effect| effect.record.to_owned());
-    let effect = effect.name().to_owned();
-    let reason = Reason::Unconfirmed;
     Verdict {
         provisional: !complete,
         gain: step.gain,
         p_adjusted: step.p_adjusted,
         inclusion: step.inclusion,
         z_typical: step.z_typical,
-        ..UntestableEffect { effect, reason, record }.verdict()
+        record: record_of(effect),
+        ..Verdict::inconclusive(effect.name(), Reason::Unconfirmed)
     }
 }
 
@@ -181,7 +169,13 @@ fn of_rest(
 ) -> Verdict {
     let effect = &screened.candidate;
     let evidence = &screened.evidence;
-    let record = effect.effect().map_or_else(String::new, |effect| effect.record.to_owned());
+    let of = |reason: Reason| Verdict {
+        provisional: !complete,
+        p_adjusted: screened.p_adjusted,
+        inclusion: screened.inclusion,
+        z_typical: evidence.z_typical,
+        ..Verdict::inconclusive(effect.name(), reason)
+    };
     let (kind, reason) = if !complete {
         (VerdictKind::Inconclusive, Reason::UnexplainedResidual(unexplained.first().cloned()))
     } else if screened.lowers_error() {
@@ -192,46 +186,25 @@ fn of_rest(
         // Rounded up: a bound of nothing would be a claim.
         (VerdictKind::Absent, Reason::BelowBound((100.0 * evidence.bound).ceil() / 100.0))
     };
-    let record = if kind == VerdictKind::Absent { String::new() } else { record };
     // What the accepted effects and formulas explain needs no other name.
     let implausible = selection.implausible.iter().filter(|_| screened.lowers_error());
     if let Some(fit) = implausible.into_iter().find(|of| of.effect == *effect) {
         let EffectSize { value, std_error, unit, size, .. } = &fit.size;
         return Verdict {
-            provisional: !complete,
             gain: fit.gain,
-            p_adjusted: screened.p_adjusted,
-            inclusion: screened.inclusion,
             value: *value,
             std_error: *std_error,
             unit: unit.to_string(),
-            z_typical: evidence.z_typical,
             implausible: (!fit.size.is_plausible()).then_some(size.plausible),
-            ..UntestableEffect {
-                effect: effect.name().to_owned(),
-                reason: Reason::Implausible,
-                record: String::new(),
-            }
-            .verdict()
+            ..of(Reason::Implausible)
         };
     }
     Verdict {
-        effect: effect.name().to_owned(),
         kind,
-        provisional: !complete,
-        tied_with: Vec::new(),
-        reproduces: Vec::new(),
-        excess_n: None,
         gain: evidence.gain(),
-        p_adjusted: screened.p_adjusted,
-        inclusion: screened.inclusion,
-        value: f64::NAN,
-        std_error: f64::NAN,
         unit: effect.size_unit().into_owned(),
-        z_typical: evidence.z_typical,
-        implausible: None,
-        reason,
-        record,
+        record: if kind == VerdictKind::Absent { String::new() } else { record_of(effect) },
+        ..of(reason)
     }
 }
 

@@ -6,7 +6,7 @@ use crate::diagnose::candidate_fit::{best_candidate, best_pair};
 use crate::diagnose::confusable_effects::{Collinearity, Similarity, is_delay};
 use crate::diagnose::fitted_model::{DISTINGUISHABLE, FittedModel, MIN_GAIN, MIN_KEPT, NEAR};
 use crate::diagnose::observer::Observer;
-use crate::diagnose::selection::{DropReason, SMALL, Selection};
+use crate::diagnose::selection::{DropReason, SMALL, Selection, replaced};
 use anyhow::Result;
 use model_export::effects::EffectTerm;
 use model_export::fit::FitOptions;
@@ -138,11 +138,7 @@ pub fn eliminate_backward(
             place += 1;
             continue;
         }
-        let removed = std::slice::from_ref(chosen);
-        selection.stages =
-            selection.stages_without((place, removed), simpler, prepared, options)?;
-        let step = selection.steps.remove(place);
-        selection.dropped.push(step.dropped(DropReason::Needless));
+        selection.remove(place, simpler, DropReason::Needless, (prepared, options))?;
     }
     Ok(())
 }
@@ -210,22 +206,12 @@ fn exchange(prepared: &FitSetup, selection: &mut Selection, options: FitOptions)
     {
         return Ok(false);
     }
+    let chosen = selection.exchange(place, &other, prepared, options)?;
     let step = &mut selection.steps[place];
-    let chosen = std::mem::replace(&mut step.chosen, other.clone());
     step.shadows.retain(|shadow| *shadow != other);
-    step.shadows.push(chosen.clone());
+    step.shadows.push(chosen);
     step.shadows.append(&mut step.tied);
-    for stage in &mut selection.stages[place + 1..] {
-        let effects = replaced(&stage.effects, &chosen, &other);
-        let split = prepared.split(&effects);
-        *stage = FittedModel::new(prepared, effects, split, options)?;
-    }
     Ok(true)
-}
-
-/// The effects with `new` in place of `old`.
-fn replaced(effects: &[EffectTerm], old: &EffectTerm, new: &EffectTerm) -> Vec<EffectTerm> {
-    effects.iter().map(|effect| if effect == old { new } else { effect }).cloned().collect()
 }
 
 /// Separates provisionally equivalent effects in the last model, where no larger effect hides their difference.
@@ -299,13 +285,8 @@ pub fn reconsider_shadows(
         step.tied.extend(equivalent);
         let Some(other) = simplest else { continue };
         step.tied.retain(|tied| *tied != other);
-        let chosen = std::mem::replace(&mut step.chosen, other.clone());
-        step.tied.push(chosen.clone());
-        for stage in &mut selection.stages[place + 1..] {
-            let effects = replaced(&stage.effects, &chosen, &other);
-            let split = prepared.split(&effects);
-            *stage = FittedModel::new(prepared, effects, split, options)?;
-        }
+        let chosen = selection.exchange(place, &other, prepared, options)?;
+        selection.steps[place].tied.push(chosen);
     }
     Ok(())
 }
@@ -382,13 +363,10 @@ pub fn eliminate_undetermined(
             place += 1;
             continue;
         }
-        let removed = std::slice::from_ref(chosen);
-        selection.stages = selection.stages_without((place, removed), without, all, options)?;
-        let step = selection.steps.remove(place);
+        selection.remove(place, without, DropReason::Undetermined, (all, options))?;
         if let Some(next) = selection.steps.get_mut(place) {
             next.is_of_pair = false;
         }
-        selection.dropped.push(step.dropped(DropReason::Undetermined));
     }
     Ok(())
 }

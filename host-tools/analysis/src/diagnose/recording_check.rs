@@ -4,7 +4,7 @@
 use crate::diagnose::candidates::{UntestableEffect, candidates, insufficient};
 use crate::diagnose::fitted_model::FittedModel;
 use crate::diagnose::residuals::{block_s, residual_tables};
-use crate::diagnose::verdict::{Reason, Verdict};
+use crate::diagnose::verdict::{Reason, Verdict, record_of};
 use anyhow::Result;
 use model_export::effects::EffectTerm;
 use model_export::fit::FitOptions;
@@ -51,11 +51,9 @@ pub fn check_recordings(campaign: &Campaign, options: FitOptions) -> RecordingCh
         match reason {
             None => check.decidable.push((effect.name().to_owned(), z_typical)),
             Some(reason) => {
-                let record =
-                    effect.effect().map_or_else(String::new, |effect| effect.record.to_owned());
-                let effect = effect.name().to_owned();
-                let verdict = UntestableEffect { effect, reason, record }.verdict();
-                check.inconclusive.push(Verdict { z_typical, ..verdict });
+                let record = record_of(effect);
+                let open = Verdict::inconclusive(effect.name(), reason);
+                check.inconclusive.push(Verdict { z_typical, record, ..open });
             }
         }
     }

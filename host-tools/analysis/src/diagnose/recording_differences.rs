@@ -18,7 +18,7 @@ use rayon::prelude::*;
 use crate::compare::AT_FLOOR;
 use crate::data_quality::evidence::{Evidence, RecordingOffset};
 use crate::data_quality::finding::Finding;
-use crate::data_quality::fix::{Change, Fix, FixKind, Repair};
+use crate::data_quality::fix::{Fix, FixKind, Repair};
 use crate::diagnose::candidates::candidates;
 use crate::diagnose::fitted_model::FittedModel;
 use crate::model::Model;
@@ -209,12 +209,9 @@ fn finding(
     let repairs: Vec<Repair> = repairs
         .filter_map(|one| {
             let folder = &campaign.recordings[one.recording].folder;
-            let change = Change::Convert {
-                column: force_column_name((one.sensor, one.axis)),
-                factor: 1.0,
-                offset: -one.value,
-            };
-            Some(Repair { file: table_path(folder, "force.csv").ok()?, change })
+            let column = force_column_name((one.sensor, one.axis));
+            let file = table_path(folder, "force.csv").ok()?;
+            Some(Repair::convert(&file, &column, 1.0, -one.value))
         })
         .collect();
     Finding {

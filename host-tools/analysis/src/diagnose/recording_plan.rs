@@ -35,7 +35,7 @@ use crate::diagnose::candidates::{MIN_Z, UntestableEffect, varies};
 use crate::diagnose::confusable_effects::Collinearity;
 use crate::diagnose::fitted_model::{DISTINGUISHABLE, FittedModel};
 use crate::diagnose::observer::Observer;
-use crate::diagnose::selection::Selection;
+use crate::diagnose::selection::{Selection, replaced};
 use crate::diagnose::verdict::{Reason, Verdict, VerdictKind};
 
 /// Standard errors that a test of all candidates together needs at its level.
@@ -190,10 +190,7 @@ fn questions<'a>(
     };
     for step in &selection.steps {
         for other in &step.tied {
-            let mut effects = last.effects.clone();
-            for effect in effects.iter_mut().filter(|effect| **effect == step.chosen) {
-                *effect = other.clone();
-            }
+            let effects = replaced(&last.effects, &step.chosen, other);
             match FittedModel::without_validation(setup, effects, options) {
                 Ok(rival) => questions.push(Question::Equivalent {
                     truth: last,

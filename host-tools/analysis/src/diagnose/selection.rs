@@ -70,6 +70,11 @@ impl AcceptedStep {
     }
 }
 
+/// The effects with `new` in place of `old`.
+pub fn replaced(effects: &[EffectTerm], old: &EffectTerm, new: &EffectTerm) -> Vec<EffectTerm> {
+    effects.iter().map(|effect| if effect == old { new } else { effect }).cloned().collect()
+}
+
 /// A fit of an effect that lowers the error in every fold, with a magnitude that the effect cannot have or that is not determined.
 pub struct ImplausibleFit {
     pub effect: EffectTerm,
@@ -257,6 +262,44 @@ impl Selection {
                 last.map(|one| DroppedStep::of_formula(&one, DropReason::IrrelevantForces));
             self.dropped.extend(dropped);
         }
+    }
+
+    /// Puts `other` in the place of the effect of a step, and fits the models from this step on again; returns the former effect.
+    ///
+    /// # Errors
+    /// A fit fails.
+    pub fn exchange(
+        &mut self,
+        place: usize,
+        other: &EffectTerm,
+        setup: &FitSetup,
+        options: FitOptions,
+    ) -> Result<EffectTerm> {
+        let chosen = std::mem::replace(&mut self.steps[place].chosen, other.clone());
+        for stage in &mut self.stages[place + 1..] {
+            let effects = replaced(&stage.effects, &chosen, other);
+            let split = setup.split(&effects);
+            *stage = FittedModel::new(setup, effects, split, options)?;
+        }
+        Ok(chosen)
+    }
+
+    /// Removes a step; `last` is the last model without it, those between are fitted again.
+    ///
+    /// # Errors
+    /// A fit fails.
+    pub fn remove(
+        &mut self,
+        place: usize,
+        last: FittedModel,
+        reason: DropReason,
+        (setup, options): (&FitSetup, FitOptions),
+    ) -> Result<()> {
+        let removed = std::slice::from_ref(&self.steps[place].chosen);
+        self.stages = self.stages_without((place, removed), last, setup, options)?;
+        let step = self.steps.remove(place);
+        self.dropped.push(step.dropped(reason));
+        Ok(())
     }
 
     /// The models without the step of this index, which added `removed`: `last` is the last of them, those between are fitted again.

@@ -1,6 +1,6 @@
 //! The verdict on one effect: present, absent or open, and why.
 
-use model_export::effects::find;
+use model_export::effects::{EffectTerm, find};
 use serde::Serialize;
 
 /// Kind of a verdict, in the order of display.
@@ -29,6 +29,11 @@ impl VerdictKind {
             Self::Absent => "absent",
         }
     }
+}
+
+/// The recording that shows an effect best; empty for a formula.
+pub(super) fn record_of(effect: &EffectTerm) -> String {
+    effect.effect().map_or("", |known| known.record).to_owned()
 }
 
 /// Reason of a verdict.
@@ -151,6 +156,28 @@ pub struct Verdict {
 }
 
 impl Verdict {
+    /// Of an effect on which these recordings do not decide, without estimates.
+    pub fn inconclusive(effect: &str, reason: Reason) -> Self {
+        Self {
+            effect: effect.to_owned(),
+            kind: VerdictKind::Inconclusive,
+            provisional: false,
+            tied_with: Vec::new(),
+            reproduces: Vec::new(),
+            excess_n: None,
+            gain: 0.0,
+            p_adjusted: f64::NAN,
+            inclusion: f64::NAN,
+            value: f64::NAN,
+            std_error: f64::NAN,
+            unit: String::new(),
+            z_typical: 0.0,
+            implausible: None,
+            reason,
+            record: String::new(),
+        }
+    }
+
     /// Whether the effect is present, or equivalent to one that is.
     pub fn is_accepted(&self) -> bool {
         matches!(self.kind, VerdictKind::Found | VerdictKind::Tied)

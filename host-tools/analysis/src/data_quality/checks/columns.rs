@@ -2,7 +2,7 @@
 
 use crate::data_quality::checks::{Channel, CheckContext, Found, by_table, clock};
 use crate::data_quality::evidence::{Evidence, Magnitude};
-use crate::data_quality::fix::{Change, Fix, FixKind, Repair};
+use crate::data_quality::fix::{Fix, FixKind, Repair};
 use crate::data_quality::scan::RecordingScan;
 use crate::data_quality::scan::column::{ColumnScan, FEW, Quantity, Run};
 use firmware::config::constants;
@@ -122,26 +122,20 @@ fn channel_unit<'a>(
 ) -> Found<'a> {
     let is_named = (ratio.log10() - f64::from(decades)).abs() <= NAMED_DECADES;
     let factor = 10_f64.powi(decades);
-    let fix = is_named.then(|| Fix {
-        kind: FixKind::ConvertColumns,
-        repairs: seen
-            .iter()
-            .map(|one| Repair {
-                file: one.table.path.clone(),
-                change: Change::Convert {
-                    column: one.column.name.clone(),
-                    factor: 10_f64.powi(-decades),
-                    offset: 0.0,
-                },
-            })
-            .collect(),
-    });
+    let fix =
+        is_named.then(|| conversion(FixKind::ConvertColumns, seen, (10_f64.powi(-decades), 0.0)));
     let evidence = Evidence::ChannelUnit {
         columns: context.columns_in(seen),
         noise_ratio: ratio,
         factor: is_named.then_some(factor),
     };
     Found::new(seen[0].at(2), evidence).stopping(fix).explaining(seen)
+}
+
+/// Conversion of columns by a factor and an offset.
+fn conversion(kind: FixKind, seen: &[Channel], (factor, offset): (f64, f64)) -> Fix {
+    let of = |one: &Channel| Repair::convert(&one.table.path, &one.column.name, factor, offset);
+    Fix { kind, repairs: seen.iter().map(of).collect() }
 }
 
 /// Magnitudes of temperatures and covariates.
@@ -169,16 +163,8 @@ fn covariate_units<'a>(context: &CheckContext<'a>) -> Vec<Found<'a>> {
 
 fn wrong_unit<'a>(context: &CheckContext, misfit: &Misfit, seen: &[Channel<'a>]) -> Found<'a> {
     let &Misfit { found, wanted, magnitude, .. } = misfit;
-    let fix = misfit.cure.map(|(factor, offset)| Fix {
-        kind: FixKind::ConvertUnit(found, wanted),
-        repairs: seen
-            .iter()
-            .map(|one| Repair {
-                file: one.table.path.clone(),
-                change: Change::Convert { column: one.column.name.clone(), factor, offset },
-            })
-            .collect(),
-    });
+    let kind = FixKind::ConvertUnit(found, wanted);
+    let fix = misfit.cure.map(|cure| conversion(kind, seen, cure));
     let evidence = Evidence::CovariateUnit {
         columns: context.columns_in(seen),
         found,

@@ -12,7 +12,7 @@ pub mod columns;
 pub mod lines;
 pub mod wraps;
 
-use std::collections::{BTreeSet, HashSet};
+use std::collections::HashSet;
 
 use model_export::recordings::Location;
 
@@ -141,11 +141,7 @@ impl<'a> CheckContext<'a> {
     }
 
     pub fn recordings_in(&self, hit: impl IntoIterator<Item = usize>) -> RecordingSet {
-        let hit: BTreeSet<usize> = hit.into_iter().collect();
-        RecordingSet {
-            names: hit.iter().map(|&i| self.recordings[i].name.clone()).collect(),
-            is_all: hit.len() == self.recordings.len(),
-        }
+        RecordingSet::of(hit, self.recordings.iter().map(|recording| &recording.name))
     }
 
     /// Names of the columns and of their recordings.

@@ -52,11 +52,8 @@ fn describe<'a>(campaign: &Campaign, names: &Names, id: &str, group: &[Verdict])
 }
 
 fn recordings(campaign: &Campaign, group: &[Verdict]) -> RecordingSet {
-    let hit: BTreeSet<usize> = group.iter().map(|verdict| verdict.recording).collect();
-    RecordingSet {
-        names: hit.iter().map(|&i| campaign.recordings[i].name.clone()).collect(),
-        is_all: hit.len() == campaign.recordings.len(),
-    }
+    let hit = group.iter().map(|verdict| verdict.recording);
+    RecordingSet::of(hit, campaign.recordings.iter().map(|recording| &recording.name))
 }
 
 /// Corrections of all columns, if none is lost.
@@ -144,7 +141,7 @@ fn field_unit(names: &Names, verdict: &Verdict, factors: [f64; 3]) -> ColumnErro
         let error = match hypothesis::field_unit(factor).filter(|_| !raw) {
             Some((name, exact)) => {
                 let file = names.hall(verdict.recording);
-                errors.repairs.extend(converted(file, [column.clone()].into_iter(), exact));
+                errors.repairs.push(Repair::convert(&file, &column, exact, 0.0));
                 ColumnError::FieldUnit(name)
             }
             None => ColumnError::FieldFactor { factor: 1.0 / factor, in_counts: raw },
@@ -165,7 +162,7 @@ fn force_unit(names: &Names, verdict: &Verdict, factors: [f64; 2]) -> ColumnErro
         let error = match hypothesis::force_unit(factor) {
             Some((name, exact)) => {
                 let file = names.force(verdict.recording);
-                errors.repairs.extend(converted(file, [column.clone()].into_iter(), exact));
+                errors.repairs.push(Repair::convert(&file, &column, exact, 0.0));
                 ColumnError::ForceUnit(name)
             }
             None => {
@@ -179,17 +176,4 @@ fn force_unit(names: &Names, verdict: &Verdict, factors: [f64; 2]) -> ColumnErro
         errors.repairs.clear();
     }
     errors
-}
-
-fn converted(
-    file: std::path::PathBuf,
-    columns: impl Iterator<Item = String>,
-    factor: f64,
-) -> Vec<Repair> {
-    columns
-        .map(|column| Repair {
-            file: file.clone(),
-            change: Change::Convert { column, factor, offset: 0.0 },
-        })
-        .collect()
 }

@@ -179,17 +179,14 @@ fn remove_needless(
             place += 1;
             continue;
         }
+        let reason = DropReason::Needless;
+        let Some(formula) = place.checked_sub(selection.steps.len()) else {
+            selection.remove(place, without, reason, (setup, options))?;
+            continue;
+        };
         selection.stages = selection.stages_without((place, &removed), without, setup, options)?;
-        match place.checked_sub(selection.steps.len()) {
-            None => {
-                let step = selection.steps.remove(place);
-                selection.dropped.push(step.dropped(DropReason::Needless));
-            }
-            Some(formula) => {
-                let formula = formulas.remove(formula);
-                selection.dropped.push(DroppedStep::of_formula(&formula, DropReason::Needless));
-            }
-        }
+        let formula = formulas.remove(formula);
+        selection.dropped.push(DroppedStep::of_formula(&formula, reason));
     }
     Ok(())
 }
