@@ -10,6 +10,7 @@
 //! - [`fitted_model`]: a model while effects are added to it.
 //! - [`selection`]: state of the selection.
 //! - [`mod@forward_selection`]: forward selection, equivalent effects, backward elimination.
+//! - [`refinement`]: the selection on all rows.
 //! - [`confusable_effects`]: how similar the effects are on the recordings, and data that cannot separate them.
 //! - [`residuals`]: the remaining residual.
 //! - [`mod@shapes`]: what each effect removed of it.
@@ -44,6 +45,7 @@ pub mod pipeline;
 pub mod recording_check;
 pub mod recording_differences;
 pub mod recording_plan;
+pub mod refinement;
 pub mod remaining_structure;
 pub mod residuals;
 pub mod selection;

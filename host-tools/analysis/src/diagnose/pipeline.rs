@@ -28,14 +28,12 @@ use crate::diagnose::diagnosis::{ConfoundedOffsets, Diagnosis};
 use crate::diagnose::drifts::equivalent_drifts;
 use crate::diagnose::fitted_model::{DISTINGUISHABLE, FittedModel};
 use crate::diagnose::formulas::discover::{discover, equivalent_formulas};
-use crate::diagnose::formulas::discovered::DiscoveredFormula;
 use crate::diagnose::formulas::simpler::simpler_formulas;
-use crate::diagnose::forward_selection::{
-    eliminate_undetermined, forward_selection, reconsider_shadows, tie_delays,
-};
+use crate::diagnose::forward_selection::forward_selection;
 use crate::diagnose::observer::Observer;
 use crate::diagnose::recording_differences::{self, Differences, Found};
 use crate::diagnose::recording_plan::propose;
+use crate::diagnose::refinement::refine;
 use crate::diagnose::remaining_structure::RemainingStructure;
 use crate::diagnose::residuals::residuals_against;
 use crate::diagnose::selection::Selection;
@@ -45,8 +43,6 @@ use crate::noise_floor::NoiseSummary;
 
 /// Fraction of the work that the comparison of the recordings takes.
 const DIFFERENCES: f64 = 0.05;
-/// Fraction of the work after the selection that the fits to all rows take.
-const ALL_ROWS: f64 = 0.7;
 /// Fraction of what then remains that the replays take.
 const REPLAYS: f64 = 0.5;
 
@@ -331,30 +327,6 @@ impl<'a> Search<'a> {
         let is_tied = !last.is_better_fit(DISTINGUISHABLE, &without);
         Ok(is_tied.then_some((differences, rivals)))
     }
-}
-
-/// Fits all models to all rows, and removes the steps that these do not confirm.
-fn refine(
-    (sample, all): (&FitSetup, &FitSetup),
-    selection: &mut Selection,
-    formulas: &mut Vec<DiscoveredFormula>,
-    options: FitOptions,
-    observer: &Observer,
-) -> Result<()> {
-    if !observer.is_stopped() {
-        reconsider_shadows(sample, selection, options)?;
-    }
-    observer.begin_rest();
-    if sample.row_count() < all.row_count() {
-        observer.stage("fitting all rows", ALL_ROWS);
-        selection.refit(all, options)?;
-    }
-    eliminate_undetermined(all, selection, formulas.len(), options)?;
-    if !observer.is_stopped() {
-        tie_delays(all, selection, options);
-    }
-    selection.confirm(formulas);
-    Ok(())
 }
 
 /// Effects were sought on the recordings with the differences of a place that does not explain all: those that explain more are the
