@@ -370,59 +370,24 @@ impl<'a> FormulaSearch<'a> {
 
     /// The candidate with its nonlinear parameters at the least squared error on the fitted rows.
     fn refined(&self, scan: &Scan, candidate: &Candidate) -> (Candidate, Score) {
-        let mut best = candidate.clone();
-        let mut score = scan.score(&self.columns(scan, &best));
-        for _ in 0..2 {
-            let start = score.fitted;
-            for parameter in 0..best.nonlinear().len() {
-                let at = |value: f64| {
-                    let moved = best.with_nonlinear(parameter, value);
-                    let score = scan.score(&self.columns(scan, &moved));
-                    (moved, score)
-                };
-                let bounds = best.nonlinear()[parameter];
-                let Some(found) = minimum(bounds.from, bounds.to, |value| at(value).1.fitted)
-                else {
-                    continue;
-                };
-                let (moved, new) = at(found);
-                if new.fitted < score.fitted {
-                    (best, score) = (moved, new);
-                }
-            }
-            if score.fitted > 0.99 * start {
-                break;
-            }
-        }
+        let score = |candidate: &Candidate| scan.score(&self.columns(scan, candidate));
+        let best = least(candidate, |candidate| score(candidate).fitted, MIN_DESCENT);
+        let score = score(&best);
         (best, score)
     }
 
     /// With nonlinear parameters that differ between sensors, where that removes clearly more.
     fn refined_by_sensor(&self, scan: &Scan, shared: (Candidate, Score)) -> (Candidate, Score) {
-        let count = shared.0.nonlinear().len();
-        if count == 0 || scan.rows.len() < 2 {
+        if shared.0.nonlinear().is_empty() || scan.rows.len() < 2 {
             return shared;
         }
         let of_sensor = |sensor: usize| {
-            let mut best = shared.0.clone();
             let fitted = |candidate: &Candidate| {
                 let (points, windows) = (&self.points, &self.windows);
                 let columns = candidate.columns_of(sensor, self.setup, scan, points, windows);
                 scan.score_of(sensor, Some(&columns)).fitted
             };
-            let mut least = fitted(&best);
-            for _ in 0..2 {
-                for parameter in 0..count {
-                    let bounds = best.nonlinear()[parameter];
-                    let at = |value: f64| fitted(&best.with_nonlinear(parameter, value));
-                    let Some(found) = minimum(bounds.from, bounds.to, at) else { continue };
-                    let moved = best.with_nonlinear(parameter, found);
-                    let new = fitted(&moved);
-                    if new < least {
-                        (best, least) = (moved, new);
-                    }
-                }
-            }
+            let best = least(&shared.0, fitted, 0.0);
             best.nonlinear().iter().map(|parameter| parameter.value).collect()
         };
         let own = (0..scan.rows.len()).into_par_iter().map(of_sensor).collect();
@@ -574,6 +539,33 @@ impl<'a> FormulaSearch<'a> {
         }
         Ok(())
     }
+}
+
+/// Reduction of the squared error by a pass over the nonlinear parameters, from which another one follows.
+const MIN_DESCENT: f64 = 0.01;
+
+/// The candidate with its nonlinear parameters at the least error: two passes over the parameters, the second one unless the first
+/// reduces the error by less than this fraction.
+fn least(candidate: &Candidate, error: impl Fn(&Candidate) -> f64, min_descent: f64) -> Candidate {
+    let mut best = candidate.clone();
+    let mut least = error(&best);
+    for _ in 0..2 {
+        let start = least;
+        for parameter in 0..best.nonlinear().len() {
+            let bounds = best.nonlinear()[parameter];
+            let at = |value: f64| error(&best.with_nonlinear(parameter, value));
+            let Some(found) = minimum(bounds.from, bounds.to, at) else { continue };
+            let moved = best.with_nonlinear(parameter, found);
+            let new = error(&moved);
+            if new < least {
+                (best, least) = (moved, new);
+            }
+        }
+        if least > (1.0 - min_descent) * start {
+            break;
+        }
+    }
+    best
 }
 
 /// Place of the minimum of a function between two bounds: a grid, then a golden-section search.
