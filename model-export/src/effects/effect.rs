@@ -44,7 +44,7 @@ impl DeviceForm {
 pub enum ErrorOrigin {
     /// The gripper, in a way that the device compensates.
     Compensated,
-    /// A permanent change of the gripper: the tables hold the state of one time ([`FinalState`]).
+    /// A permanent change of the gripper: the tables hold the state of one time ([`super::FinalState`]).
     History,
     /// The reference sensor or its clock, not the device.
     Reference,
