@@ -1,7 +1,7 @@
 //! One sensor's finger: manufactured dimensions, and the magnet's pose under load.
 
 use crate::effects::Effects;
-use crate::effects::uncatalogued::SCREW_RIPPLE;
+use crate::effects::uncatalogued_kinds::SCREW_RIPPLE;
 use crate::flexure::{Flexure, FlexureParameters, REFERENCE_MM};
 use crate::random::{Purpose, normal, normal_vector, stream};
 use model_export::effects::catalogue::{

@@ -5,7 +5,7 @@
 //! - [`mountings`]: orientations of the sensors.
 //! - [`finger`], [`flexure`], [`friction`], [`hall_sensor`], [`external_fields`], [`effects`], [`motion`]: one sensor and
 //!   what acts on it; shared by all simulators.
-//! - [`uncatalogued`]: effects that are not in the catalogue; all but one act in campaigns only.
+//! - [`uncatalogued`]: physics of the effects outside the catalogue; all but one act in campaigns only.
 //! - [`campaign`]: data sets of calibration recordings, written as files.
 //! - [`drivetrain`]: motor, screw, fingers and object in time.
 //! - [`board`]: buses, flash and tasks of the firmware in virtual time.

@@ -139,7 +139,7 @@ pub enum Simulation {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SimulatedMagnitude {
     /// Number of the random stream, and position in lists of simulated effects. Unique and never changed, so that a
-    /// seed continues to give the same gripper. A test of `sim/src/effects.rs` prints the next free number.
+    /// seed continues to give the same gripper. A test of `sim/src/effects/mod.rs` prints the next free number.
     pub random_stream: u32,
     /// Valid range.
     pub range: (f64, f64),

@@ -29,8 +29,7 @@ impl Width {
 
 /// No memory or peripheral responds at the address, or it refuses the access.
 ///
-/// The core reports it as a BusFault: `PRECISERR` with the address in `BFAR` for data, `IBUSERR` for
-/// an instruction.
+/// The core takes HardFault, with `PRECISERR` in the CFSR for data, `IBUSERR` for an instruction.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("no memory or peripheral accepts the access")]
 pub struct BusError;

@@ -1,8 +1,8 @@
 //! Entry to and return from exceptions, faults, lazy floating-point state (DDI0403E B1.5).
 //!
 //! Exceptions are taken between instructions; an instruction is never interrupted in the middle. A
-//! fault on stacking, on unstacking or on the fetch of a vector is handled as the architecture's derived
-//! exceptions are.
+//! fault on stacking or unstacking is handled as the architecture's derived exceptions are; a vector that
+//! cannot be read locks the core up, where the architecture takes HardFault first.
 
 use crate::core::arithmetic::NZCV;
 use crate::core::bus::Bus;

@@ -1,6 +1,7 @@
 //! Floating-point unit: single precision, FPv4-SP (DDI0403E A2.5 and A7.7), by the computer's arithmetic: rounding to nearest,
 //! denormal numbers, NaN operands as the architecture propagates them. No instruction here changes these modes: VMSR, VMRS to a
-//! register, half precision, fixed point and fused multiplication stop the core as unpredictable ones do, and the FPSCR has the flags of comparisons only.
+//! register, half precision, fixed point and fused multiplication stop the core as unpredictable ones do, and the FPSCR has the
+//! flags of comparisons only.
 
 use crate::core::Width;
 use crate::core::arithmetic::NZCV;

@@ -8,7 +8,7 @@ use crate::core::cycles::CycleModel;
 use crate::core::instruction::{LogicalFlags, Register};
 use crate::core::statistics::Recorder;
 
-/// Index of the stack pointer in use.
+/// Index of the main stack pointer.
 pub(super) const SP: usize = 13;
 /// Index of the link register.
 pub(super) const LR: usize = 14;

@@ -141,7 +141,10 @@ impl Adc {
             0 => (self.clock(context), PRESCALERS[(self.common as usize >> 18 & 15).min(11)]),
             mode => (context.clocks.core, 1 << (mode - 1)),
         };
-        clock.cycles(count * divisor).ps().checked_div(2).map_or(Time::NEVER, Time::from_ps)
+        match clock.cycles(count * divisor) {
+            Time::NEVER => Time::NEVER,
+            time => Time::from_ps(time.ps() / 2),
+        }
     }
 
     /// Whether it converts.

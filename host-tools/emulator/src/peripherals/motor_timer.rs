@@ -124,9 +124,12 @@ impl MotorTimer {
         self.next.map_or(Time::NEVER, |(time, _)| time)
     }
 
-    /// Another clock from now on; the counter keeps its value.
+    /// Another clock from now on. The counter keeps its value, but counts from 0 after the clock had stopped.
     pub(crate) fn set_clock(&mut self, clock: Frequency, now: Time) {
-        let counts = now.since(self.since).ps().checked_div(self.clock.period().ps()).unwrap_or(0);
+        if clock == self.clock {
+            return;
+        }
+        let counts = self.counts(now);
         self.clock = clock;
         if let Some((_, moment)) = self.next {
             let cycles = match moment {
@@ -294,12 +297,16 @@ impl MotorTimer {
         }
     }
 
+    /// Cycles of the clock since the counter was last at 0.
+    fn counts(&self, now: Time) -> u64 {
+        now.since(self.since).ps() / self.clock.period().ps()
+    }
+
     fn count(&self, now: Time) -> u32 {
         if !bit(self.words[CR1], 0) || self.clock.0 == 0 {
             return 0;
         }
-        let ticks = (now.since(self.since).ps() / self.clock.period().ps()) as u32;
-        let ticks = ticks % (2 * self.reload).max(1);
+        let ticks = self.counts(now) as u32 % (2 * self.reload).max(1);
         ticks.min(2 * self.reload - ticks)
     }
 

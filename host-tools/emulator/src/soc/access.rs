@@ -29,7 +29,7 @@ impl Soc {
         };
         let place = *map.get(((address - start) / BLOCK) as usize)?;
         let entry = self.entries.get(usize::from(place))?;
-        // Comparators and amplifiers lie behind SYSCFG, the other controllers' message RAM behind that of the first.
+        // Comparators and amplifiers are behind SYSCFG, the other controllers' message RAM behind that of the first.
         match (entry.block, address & (BLOCK - 1)) {
             (Block::Syscfg, 0x30..) => None,
             (Block::FdcanRam, offset) if offset as usize / 4 >= fdcan::RAM_WORDS => None,

@@ -110,9 +110,14 @@ impl Soc {
         self.refresh(Block::Flash);
     }
 
+    /// Number of the I2C peripheral at a sensor bus.
+    fn i2c_at(&self, bus: usize) -> Option<usize> {
+        self.buses.iter().position(|connected| *connected == Some(bus))
+    }
+
     /// Lets stops on a sensor bus come late, until a reset of its peripheral.
     pub fn delay_stops(&mut self, bus: usize, delay: Time) {
-        let number = self.buses.iter().position(|connected| *connected == Some(bus));
+        let number = self.i2c_at(bus);
         if let Some(number) = number {
             self.i2c[number].delay_stops(delay);
         }
@@ -131,7 +136,7 @@ impl Soc {
     /// Leaves a byte in the data register of the I2C peripheral at a sensor bus, as an aborted transfer does; false where
     /// none is at it.
     pub fn leave_received_byte(&mut self, bus: usize, byte: u8) -> bool {
-        let number = self.buses.iter().position(|connected| *connected == Some(bus));
+        let number = self.i2c_at(bus);
         if let Some(number) = number {
             self.i2c[number].leave_byte(byte);
             self.refresh(Block::I2c(number));
@@ -141,7 +146,7 @@ impl Soc {
 
     /// Detects a bus error during a transfer on a sensor bus, though there is none; false where no peripheral is at it.
     pub fn raise_bus_error(&mut self, bus: usize) -> bool {
-        let number = self.buses.iter().position(|connected| *connected == Some(bus));
+        let number = self.i2c_at(bus);
         if let Some(number) = number {
             self.i2c[number].raise_bus_error();
             self.refresh(Block::I2c(number));

@@ -4,7 +4,7 @@ use crate::peripherals::gpio::Pin;
 use crate::registers::{RccBit, base, dma_request, interrupt, rcc_bits};
 use crate::wiring::Wiring;
 
-/// Peripherals are told apart by blocks of 1 KiB.
+/// Size of a block: each peripheral has blocks of its own.
 pub(super) const BLOCK: u32 = 1024;
 
 /// What answers in a block of addresses.

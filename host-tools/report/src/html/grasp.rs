@@ -122,7 +122,7 @@ pub fn contact_section(landed: &LandingResult) -> Section {
         ]))
         div.pair {
             (curves("Ground force over time.", (across, "force, N"), &[
-                curve(palette::THIRD, &|point| Some(point.held_n)),
+                curve(palette::THIRD, &|point| Some(point.peak_n)),
                 curve(palette::SECOND, &|point| Some(point.estimated_n)),
                 curve(palette::FIRST, &|point| Some(point.true_n)),
             ]))

@@ -122,7 +122,7 @@ pub fn grasp_json(result: &GraspResult, scatter: f64, report: Option<&Path>) -> 
             json!({
                 "time_s": point.time_s,
                 "set_n": point.set_n,
-                "told_n": point.estimated_n,
+                "estimated_n": point.estimated_n,
                 "true_n": point.true_n,
                 "opening_mm": point.opening_mm,
                 "current_q_a": point.current_a,

@@ -84,11 +84,9 @@ pub struct LandingSample {
     /// True ground force on all fingertips, in N.
     pub true_n: f64,
     /// Reported ground force in N.
-    #[serde(rename = "told_n")]
     pub estimated_n: f64,
     /// Reported peak force on one fingertip over the last milliseconds, in N.
-    #[serde(rename = "peak_n")]
-    pub held_n: f64,
+    pub peak_n: f64,
     /// Reported centre of pressure in mm along the fingers.
     pub along_mm: f64,
     /// Reported centre of pressure in mm across the fingers.
@@ -175,7 +173,7 @@ impl LandingResult {
             time_s: sampled_s - impact.start_s,
             true_n: impact.force_n(sampled_s),
             estimated_n: f64::from(foot.total_fz) / per_n,
-            held_n: f64::from(bench.grip.ground_contact().peak_n),
+            peak_n: f64::from(bench.grip.ground_contact().peak_n),
             along_mm: f64::from(foot.centre) / per_mm,
             across_mm: f64::from(foot.across) / per_mm_across,
             contacts: foot.contacts,
@@ -190,7 +188,7 @@ impl LandingResult {
 
     /// Maximum reported force on one fingertip, in N.
     pub fn held_n(&self) -> f64 {
-        self.points.iter().map(|p| p.held_n).fold(0.0, f64::max)
+        self.points.iter().map(|p| p.peak_n).fold(0.0, f64::max)
     }
 
     /// Peak force on one fingertip, in N.

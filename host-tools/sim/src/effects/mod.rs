@@ -10,7 +10,7 @@ use std::str::FromStr;
 use std::sync::LazyLock;
 
 mod kind;
-pub mod uncatalogued;
+pub mod uncatalogued_kinds;
 
 pub use kind::EffectKind;
 use kind::VARIATION;
@@ -253,7 +253,7 @@ pub static EFFECT_KINDS: LazyLock<Vec<EffectKind>> = LazyLock::new(|| {
         }),
         Simulation::Never(_) => None,
     });
-    let mut kinds: Vec<EffectKind> = simulated.chain(uncatalogued::KINDS).collect();
+    let mut kinds: Vec<EffectKind> = simulated.chain(uncatalogued_kinds::KINDS).collect();
     kinds.sort_by_key(|kind| kind.magnitude.random_stream);
     kinds
 });

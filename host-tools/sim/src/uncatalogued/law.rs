@@ -2,7 +2,7 @@
 
 use super::{Conditions, Contribution};
 use crate::effects::EffectKind;
-use crate::effects::uncatalogued::{
+use crate::effects::uncatalogued_kinds::{
     BODY_BENDING, BRACKET_LAG, BRACKET_SOFTENING, CABLE_PULL, CLEARANCE, CROSS_TERM, GUIDE_RIPPLE,
     OVERHANG, RATE_GAIN, STRESSED_PIN, UNLOGGED, WARM_LEAKAGE, WIPER_DRAG, WRIST_POLES,
 };

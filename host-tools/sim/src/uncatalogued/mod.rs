@@ -1,8 +1,12 @@
-//! Physics of the effects that no effect of the catalogue represents: products of covariates, periods and thresholds to be found, lags.
+//! Physics of the effects that no effect of the catalogue represents: products of covariates, periods and thresholds to be found,
+//! lags.
 //!
 //! Each acts at one point of the chain from force to counts, see [`Contribution`], and depends only on what the recordings
-//! contain, except [`UNLOGGED`](crate::effects::uncatalogued::UNLOGGED). Directions and phases vary from sensor to sensor; a period or a time constant is one of
-//! the gripper. [`SCREW_RIPPLE`](crate::effects::uncatalogued::SCREW_RIPPLE) is a part of [`crate::finger`].
+//! contain, except [`UNLOGGED`]. Directions and phases vary from sensor to sensor; a period or a time constant is one of the
+//! gripper. [`SCREW_RIPPLE`] is a part of [`crate::finger`].
+//!
+//! [`UNLOGGED`]: crate::effects::uncatalogued_kinds::UNLOGGED
+//! [`SCREW_RIPPLE`]: crate::effects::uncatalogued_kinds::SCREW_RIPPLE
 
 mod law;
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! Each effect outside the catalogue acts at one point of the chain, on its own covariates, and vanishes without them.
 
 use super::*;
-use crate::effects::uncatalogued::*;
+use crate::effects::uncatalogued_kinds::*;
 use crate::effects::{EffectKind, Effects};
 use std::f64::consts::TAU;
 
@@ -39,7 +39,7 @@ const ZERO_CURRENT: Covariates = Covariates { current_a: 0.0, ..BUSY };
 const ZERO_LATERAL: Covariates = Covariates { load_n: [0.0, -70.0], ..BUSY };
 const WEIGHTLESS: Covariates = Covariates { specific_force: REST.specific_force, ..BUSY };
 
-/// Shortly before it.
+/// Shortly before [`BUSY`].
 const EARLIER: Covariates = Covariates { opening_mm: 37.2, warm_k: 7.9, ..BUSY };
 
 /// Contribution after `before`, an eighth of a second earlier, in the same recording.

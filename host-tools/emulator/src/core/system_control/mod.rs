@@ -166,11 +166,10 @@ impl SystemControl {
                 }
             }
             // Without the key the register is not written.
-            AIRCR if value >> 16 == AIRCR_KEY => {
+            AIRCR if value >> 16 != AIRCR_KEY => {}
+            AIRCR if value & AIRCR_PRIORITY_GROUP == 0 => {
                 self.reset_requested |= value & AIRCR_SYSTEM_RESET != 0;
-                return value & AIRCR_PRIORITY_GROUP == 0;
             }
-            AIRCR => {}
             CPACR => self.cpacr = value & FLOAT_ACCESS,
             _ => return false,
         }

@@ -173,7 +173,7 @@ fn tail_chaining_takes_6_cycles_and_keeps_the_frame() {
     let mut machine = with_interrupts(&[0xBF00], [0x10, 0x20, 0, 0]); // nop
     machine.interrupt(0);
     machine.interrupt(1);
-    // Entry, then mrs, strb and bx of the first handler: 12 + 1 + 1 + 1; the first handler does not
+    // Entry, then movs, strb and bx of the first handler: 12 + 1 + 1 + 1; the first handler does not
     // return.
     machine.step(3);
     let before = machine.bus.time;
