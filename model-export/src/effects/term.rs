@@ -138,11 +138,7 @@ impl EffectTerm {
     /// True where it depends on the order of the rows: on time, on a rate, or on the past.
     pub fn depends_on_order(&self) -> bool {
         match self {
-            Self::Catalogue(effect) => {
-                let is_of_order =
-                    |one: &Signature| matches!(one, Signature::LoadHistory | Signature::Time);
-                effect.signatures.iter().any(is_of_order)
-            }
+            Self::Catalogue(effect) => effect.has_memory || effect.time != TimeDependence::None,
             Self::Expression(formula) => {
                 let is_of_order = |name: &String| {
                     matches!(name.as_str(), "time_s" | "session_s") || name.contains("_rate_")

@@ -170,6 +170,15 @@ fn effects_declare_the_times_that_they_depend_on() {
 }
 
 #[test]
+fn effects_with_memory_or_times_depend_on_the_order_of_the_rows() {
+    // A backlash has a memory, and no signature in common with others; the Earth's field has neither memory nor time.
+    for (id, depends) in [("screw_backlash", true), ("viscous_lag", true), ("earth_field", false)] {
+        let effect = CATALOGUE.iter().find(|effect| effect.id == id).unwrap();
+        assert_eq!(EffectTerm::Catalogue(effect).depends_on_order(), depends, "{id}");
+    }
+}
+
+#[test]
 fn effects_declare_the_columns_that_they_read() {
     let excitation = excitation();
     for effect in CATALOGUE {
@@ -185,6 +194,6 @@ fn effects_declare_the_columns_that_they_read() {
         }
         other.temperature_c = other.covariates.remove("temp_c").unwrap_or_default();
         let (row, same) = (last_row(effect, &excitation), last_row(effect, &other));
-        assert_eq!(row, same, "{}: `needs` lacks a column that `apply` reads", effect.id);
+        assert_eq!(row, same, "{}: `needs` has not a column that `apply` reads", effect.id);
     }
 }

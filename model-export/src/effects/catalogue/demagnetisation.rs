@@ -46,6 +46,7 @@ pub const EFFECT: Effect = Effect {
     device: DeviceForm::Settled,
     is_transient: true,
     has_memory: false,
+    // The loss is between recordings, whose order their starts give.
     time: TimeDependence::Starts,
     reads: &[EffectStage::Magnet],
     apply,

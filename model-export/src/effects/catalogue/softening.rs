@@ -46,6 +46,7 @@ pub const EFFECT: Effect = Effect {
     device: DeviceForm::Settled,
     is_transient: true,
     has_memory: false,
+    // Load cycles are counted in the order of the rows.
     time: TimeDependence::Rows,
     reads: EffectStage::FORCES,
     apply,
