@@ -157,15 +157,20 @@ fn homing_over_can_finds_the_opening() {
 #[test]
 fn hold_survives_loss_of_sensors_host_or_bus() {
     for lead in Lead::BOTH {
-        for failure in ["sensors", "host", "bus"] {
+        for failure in ["sensors", "host", "host and sensors", "bus"] {
             let cell = &mut gripping(lead);
-            match failure {
-                "sensors" => {
-                    let wires = &mut cell.board.connections.buses[0].borrow_mut();
-                    wires.sensors.iter_mut().for_each(|s| s.unplugged = true);
-                }
-                "host" => cell.host.is_silent = true,
-                _ => cell.board.connections.can.borrow_mut().disturbed = true,
+            if failure.starts_with("host") {
+                cell.host.is_silent = true;
+            }
+            if failure == "host and sensors" {
+                cell.run(0.5);
+            }
+            if failure.ends_with("sensors") {
+                let wires = &mut cell.board.connections.buses[0].borrow_mut();
+                wires.sensors.iter_mut().for_each(|s| s.unplugged = true);
+            }
+            if failure == "bus" {
+                cell.board.connections.can.borrow_mut().disturbed = true;
             }
             cell.gripper.borrow_mut().peak_n = 0.0;
             cell.run(0.5);
@@ -174,8 +179,8 @@ fn hold_survives_loss_of_sensors_host_or_bus() {
             assert!((force_n - SET_N).abs() < 3.0, "{lead:?} {failure}: {force_n}");
             assert!(peak_n < 110.0, "{lead:?} {failure}: {peak_n}");
             let found = match failure {
-                "sensors" => Fault::SensorLost,
                 "host" => Fault::HostSilent,
+                "sensors" | "host and sensors" => Fault::SensorLost,
                 _ => Fault::BusOff,
             };
             assert!(cell.board.exchange.is_active(found), "{failure}");

@@ -61,7 +61,7 @@ mod unix {
             }
         }
         // The longest first: they wait for the clock while others compute.
-        let trials: [(&str, Test); 15] = [
+        let trials: [(&str, Test); 16] = [
             ("no_exit_releases_a_foreign_grip", control::no_exit_releases_a_foreign_grip),
             (
                 "no_exit_moves_fingers_of_an_earlier_host",
@@ -77,6 +77,7 @@ mod unix {
             ("the_tutorial_flashes_and_drives", tutorial),
             ("grip_homes_and_holds_a_force_over_the_can_bus", grip),
             ("the_workbench_uploads_a_calibration", workbench),
+            ("record_receives_every_tick_on_the_serial_line", record),
             ("only_hosts_with_the_key_change_a_protected_gripper", keys),
             ("clients_together_send_what_the_bus_carries", flood),
             ("a_stranger_ends_no_grasp", stranger),
@@ -381,6 +382,19 @@ mod unix {
             faults.retain(|fault| fault["code"] != Fault::Flooded as u16);
         }
         is_clean(&measured);
+        Ok(())
+    }
+
+    fn record() -> Result<(), Failed> {
+        let dir = WorkDir::empty();
+        let emulation = Emulation::start(&dir, &path(Variant::Default)?, "--json");
+        let line = format!("record --port {} -o campaign/1 --seconds 3 --json", emulation.serial);
+        let recorded = dir.json(&line);
+        // Less than three seconds where this machine is slower than the chip.
+        assert!(recorded["rows"].as_u64() > Some(200), "{recorded}");
+        assert_eq!(recorded["lost_rows"], 0, "{recorded}");
+        assert_eq!(recorded["sensors"], serde_json::json!([0, 1, 2, 3]));
+        is_clean(&emulation.end());
         Ok(())
     }
 
