@@ -6,7 +6,8 @@ use analysis::notes::{Note, UncompensatedEffect};
 use analysis::replay::bags::write_bags;
 use anyhow::{Result, bail};
 use model_export::inverse::build::{DeviceModel, ModelVariant, build};
-use model_export::output::{TABLES_MARK, check_output, write_output};
+use model_export::model_file::TABLES_MARK;
+use model_export::output::{check_output, write_output};
 use serde_json::json;
 
 use crate::commands::args::AlignArgs;

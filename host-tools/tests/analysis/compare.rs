@@ -25,7 +25,7 @@ fn compared(model: &Path, campaign: &Path) -> Comparison {
 /// Comparison of the model that is fitted to `clean` or `demo` with one of both; compared once.
 fn comparison(model: &str, campaign: &str) -> &'static Comparison {
     static COMPARED: [OnceLock<Comparison>; 4] = [const { OnceLock::new() }; 4];
-    let place = |name| usize::from(name == "demo");
+    let place = |name| ["clean", "demo"].iter().position(|known| *known == name).unwrap();
     COMPARED[2 * place(model) + place(campaign)]
         .get_or_init(|| compared(&fitted_model(model), &data(campaign)))
 }

@@ -1,7 +1,7 @@
 //! `magpie demo`: its report follows the campaign.
 
 use crate::workdir::{WorkDir, campaign, text};
-use model_export::output::TABLES_MARK;
+use model_export::model_file::TABLES_MARK;
 
 /// Report of the demo, and its folder of output.
 fn demo(arguments: &[&str]) -> (String, WorkDir) {

@@ -8,9 +8,6 @@ use tempfile::{NamedTempFile, TempDir};
 
 use crate::error::{DataError, ErrorKind, Location};
 
-/// First line of every generated file of tables.
-pub const TABLES_MARK: &str = "// Written by `magpie dev export`.";
-
 /// Bytes that identify a file of this tool.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FileSignature<'a> {

@@ -7,7 +7,7 @@ use crate::inverse::calibration::CalibrationDescription;
 use crate::inverse::compensation::OwnedCompensation;
 use crate::inverse::model_selection::SelectedModels;
 use crate::inverse::quantise::TableSet;
-use crate::output::TABLES_MARK;
+use crate::model_file::TABLES_MARK;
 use firmware::model::formats::{CentrePair, SensorTable};
 use std::fmt::{Display, Write};
 

@@ -19,7 +19,7 @@ use crate::input::{
 };
 use crate::inverse::grbf::{GrbfShape, MAX_CENTRES_ACROSS};
 use crate::inverse::static_model::ForcePolynomial;
-use crate::output::{TABLES_MARK, write_output};
+use crate::output::write_output;
 use crate::physics::{ForwardModel, SensorMounting};
 use crate::recordings::description::{NominalDesign, parse_toml};
 use crate::recordings::recording::recording_name;
@@ -40,6 +40,9 @@ pub use sensor::{
 /// repeat the fit. Neither an effect nor an optional key with a default raises it. The format of a calibration on the board
 /// has a number of its own, `VERSION` in `firmware/src/model/calibration.rs`.
 pub const FORMAT: i64 = 1;
+
+/// First line of every generated file of tables.
+pub const TABLES_MARK: &str = "// Written by `magpie dev export`.";
 
 /// First line of every model file.
 pub const SIGNATURE: &str = "# A magpie model, written by `magpie fit`.";

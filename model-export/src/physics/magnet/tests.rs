@@ -80,11 +80,11 @@ fn tube_plus_hole_equals_cylinder() {
 
 fn volume_mm3(magnet: &Magnet) -> f64 {
     use std::f64::consts::PI;
-    let of_box = 0.25 * PI * 2.5_f64.powi(3);
+    let of_cylinder = 0.25 * PI * 2.5_f64.powi(3);
     match magnet.body {
-        MagnetBody::Cylinder(_) => of_box,
+        MagnetBody::Cylinder(_) => of_cylinder,
         // The hole has (1 / 2.5)^2 of it.
-        MagnetBody::Tube { .. } => 0.84 * of_box,
+        MagnetBody::Tube { .. } => 0.84 * of_cylinder,
         MagnetBody::Cube { side_mm } => side_mm.powi(3),
         MagnetBody::Sphere { diameter_mm } => PI / 6.0 * diameter_mm.powi(3),
     }
