@@ -17,7 +17,7 @@ def chromium():
 
 
 class Page:
-    """An opened page. It may fetch only what is below an address, and say nothing on the console."""
+    """An opened page. It may fetch only what is below an address, and write nothing to the console."""
 
     def __init__(self, browser, address, below, screen, scheme="light", script=True):
         width, height, scale = SCREENS[screen]
@@ -34,12 +34,12 @@ class Page:
         self.expected_errors = 0
         self.page = context.new_page()
         self.page.set_default_timeout(SHOWN_MS)
-        self.page.on("console", self.said)
+        self.page.on("console", self.console_message)
         self.page.on("pageerror", lambda error: self.wrong.append(f"error: {error}"))
         self.page.on("request", self.requested)
         self.page.goto(address)
 
-    def said(self, message):
+    def console_message(self, message):
         lines = ("status of 422", "status of 409", "Content Security Policy")
         if any(line in message.text for line in lines) and self.expected_errors > 0:
             self.expected_errors -= 1

@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 """A report in a real browser: usage check_report.py PAGE FOLDER
 
-Wide and narrow, light and dark, with and without its script: nothing is fetched, nothing is said on the
-console, each section is there and its plots are drawn, the page does not scroll sideways, and its controls work.
+Wide and narrow, light and dark, with and without its script: nothing is fetched, nothing is written
+to the console, each section has a size and each figure draws something, the page does not scroll sideways, and its controls work.
 Leaves screenshots in a folder of the page's name in FOLDER.
 """
 

@@ -2,7 +2,7 @@
 """The workbench in a real browser: usage check_workbench.py MAGPIE FOLDER
 
 Adds effects and formulas, undoes and redoes, compares, writes; a wrong formula, a second tab, a campaign that is removed
-meanwhile. Nothing may be said on the console, and the page may not scroll sideways. Leaves screenshots in FOLDER.
+meanwhile. Nothing may be written to the console, and the page may not scroll sideways. Leaves screenshots in FOLDER.
 """
 
 import contextlib

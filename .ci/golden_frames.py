@@ -19,7 +19,7 @@ def rows_of(file):
         return list(csv.DictReader(text))
 
 
-def meant(row):
+def stated_values(row):
     """The values that a row states, by signal."""
     return {name: float(value) for name, value in (field.split("=") for field in row["fields"].split())}
 
@@ -30,7 +30,7 @@ def faults(bus, row):
     if message.frame_id != int(row["identifier"], 16):
         yield f"identifier {message.frame_id:03X} instead of {row['identifier']}"
     read = message.decode(bytes.fromhex(row["bytes"]), decode_choices=False)
-    stated = meant(row)
+    stated = stated_values(row)
     if read.keys() != stated.keys():
         yield f"signals {sorted(read)} instead of {sorted(stated)}"
     for name in read.keys() & stated.keys():
@@ -49,7 +49,7 @@ def session_faults(bus):
     reply = bus.decode_message("ServiceReply", bytes.fromhex(rows[0]["reply"]))
     session = example["Session"](bus, bytes.fromhex(rows[0]["key"]), example["challenge"](reply))
     for row in rows:
-        for name, value in zip(("authentication", "message"), session.sealed(row["name"], **meant(row))):
+        for name, value in zip(("authentication", "message"), session.sealed(row["name"], **stated_values(row))):
             if value[1] != bytes.fromhex(row[name]):
                 yield f"session, {row['name']}: {name} {value[1].hex(' ')} instead of {row[name]}"
 
@@ -61,7 +61,7 @@ def main():
     wrong += [f"no frame of {name}" for name in sorted(absent)] + list(session_faults(bus))
     for line in wrong:
         print(line, file=sys.stderr)
-    signals = sum(len(meant(row)) for row in rows)
+    signals = sum(len(stated_values(row)) for row in rows)
     print(f"{len(rows)} frames, {signals} signals, {len(wrong)} read otherwise than stated")
     sys.exit(bool(wrong))
 

@@ -581,7 +581,7 @@ fn unusable_ports_and_buses_are_errors_with_a_remedy() {
     assert!(!dir.path("never").exists());
 }
 
-/// Port of a socket that sends so many lines of text, each 10 ms one by its number, or until it is closed.
+/// Port of a socket that sends `rows` lines, one every 10 ms, each made from its number; ends early when the socket is closed.
 fn line_server(rows: u32, line: fn(u32) -> String) -> (u16, std::thread::JoinHandle<()>) {
     let server = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let port = server.local_addr().unwrap().port();

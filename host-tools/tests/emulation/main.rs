@@ -39,7 +39,7 @@ use libtest_mimic::{Arguments, Trial};
 pub enum Effort {
     /// For every change.
     Usual,
-    /// Before a release, and each night.
+    /// Before a release.
     Acceptance,
 }
 

@@ -1,4 +1,4 @@
-//! The modules of `model-export` that formulas reach, and the reading of files, without the rest, which no input reaches.
+//! `effects` and `physics` of `model-export`, without fits and tables; files are read by `recordings`.
 #![allow(dead_code)]
 
 #[path = "../../../model-export/src/effects/mod.rs"]

@@ -215,7 +215,8 @@ impl CurrentLoopState {
         }
     }
 
-    /// [`SensorMonitor`](crate::motor::diagnostics::SensorMonitor) counts in an armed motor only; a bring-up counts before.
+    /// Longest run of equal angles, also while the motor is off, where
+    /// [`SensorMonitor`](crate::motor::diagnostics::SensorMonitor) does not count: the bring-up reads it.
     fn count_repeated(&mut self, angle: Result<u16, EncoderError>) {
         let (last, repeated) = self.last;
         let repeated = if angle.is_ok() && angle == last { repeated.saturating_add(1) } else { 0 };
