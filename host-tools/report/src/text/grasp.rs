@@ -18,8 +18,9 @@ pub fn format_motion(result: &DriveResult, report: Option<&Path>) -> String {
 
 pub fn motion_table(result: &DriveResult) -> TextTable {
     let rows = result.figures().into_iter();
-    let rows = rows
-        .map(|(name, value, unit)| [name, &numbers::decimal(value, 3), unit].map(str::to_owned));
+    let rows = rows.map(|(name, value, unit)| {
+        [name, &numbers::decimal_or_dash(value, 3), unit].map(str::to_owned)
+    });
     TextTable::new(&["quantity", "value", "unit"], 1, rows)
 }
 
@@ -107,12 +108,12 @@ pub fn grasp_tables(result: &GraspResult) -> [TextTable; 2] {
     let rows = rows.map(|(index, (name, value, unit))| {
         let other = other.as_ref().and_then(|other| other.get(index));
         let other = other.map(|(_, value, _)| numbers::decimal_or_dash(*value, 2));
-        let own = [name.to_owned(), numbers::decimal(value, 2), unit.to_owned()];
+        let own = [name.to_owned(), numbers::decimal_or_dash(value, 2), unit.to_owned()];
         own.into_iter().chain(other).collect::<Vec<_>>()
     });
     let states = result.states().into_iter();
-    let states = states.map(|(time_s, state)| [numbers::decimal(1e3 * time_s, 0), state]);
-    [TextTable::new(&heads, 1, rows), TextTable::new(&["from, ms", "state"], usize::MAX, states)]
+    let states = states.map(|(time_s, state)| [state, numbers::decimal(1e3 * time_s, 0)]);
+    [TextTable::new(&heads, 1, rows), TextTable::new(&["state", "from, ms"], 1, states)]
 }
 
 /// The object of `--json` of a grasp with parameters perturbed by up to `scatter`.
