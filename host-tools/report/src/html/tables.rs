@@ -2,7 +2,7 @@
 
 use maud::{Markup, Render, html};
 
-use crate::text::comparison::{field_rows, force_rows};
+use crate::text::comparison::{field_table, force_table};
 use crate::text::terminal::TextTable;
 use analysis::compare::Comparison;
 use analysis::numbers::{maybe, number};
@@ -80,7 +80,7 @@ pub fn of_field(comparison: &Comparison) -> Markup {
         ]
     });
     html! {
-        (of_both(comparison, "Field: measured minus modelled", field_rows))
+        (of_both(comparison, "Field: measured minus modelled", field_table))
         details {
             summary { "Composition of the noise floor" }
             (table(
@@ -103,5 +103,5 @@ pub fn of_forces(comparison: &Comparison) -> Markup {
         return html! {};
     }
     let caption = "Forces: device minus reference (x lateral, z longitudinal)";
-    of_both(comparison, caption, force_rows)
+    of_both(comparison, caption, force_table)
 }

@@ -1,4 +1,4 @@
-//! Text of setup errors: what was found, the evidence in numbers, and the remedy, in one sentence for each.
+//! Text of setup errors: what was found, the evidence in numbers, and the remedy, in one sentence for each, and their list.
 
 use analysis::data_quality::Finding;
 use analysis::data_quality::evidence::{
@@ -10,6 +10,8 @@ use analysis::diagnose::recording_differences::explains_all;
 use analysis::numbers::{decimal, signal, with_error};
 use model_export::fit::recording_differences::DifferenceCause;
 use model_export::recordings::dependence::DependenceKind;
+
+use crate::text::terminal::{self, ERROR, WARNING, WIDTH};
 
 /// Recordings that are not independent, with the consequence.
 fn dependent(kind: DependenceKind, recordings: &str, share: f64) -> String {
@@ -42,6 +44,29 @@ fn dependent(kind: DependenceKind, recordings: &str, share: f64) -> String {
 
 /// Number of names in a list before "and n more".
 const LISTED: usize = 6;
+
+/// All findings with their locations and repairs, or that there are none.
+pub fn format_list(findings: &[Finding]) -> String {
+    if findings.is_empty() {
+        return "No setup errors were found in these recordings.\n\n".to_owned();
+    }
+    let stops = findings.iter().any(|finding| finding.stops);
+    let (style, advice) = if stops {
+        (ERROR, "fix before evaluating the model")
+    } else {
+        (WARNING, "check before evaluating the model")
+    };
+    let heading = format!("Setup errors in the recordings ({}), {advice}:", findings.len());
+    let mut page = terminal::styled(style, &heading, WIDTH);
+    for (i, finding) in findings.iter().enumerate() {
+        page += &terminal::paragraph(&format!("  {}. {}: {}", i + 1, finding.id, message(finding)));
+        page += &terminal::paragraph(&format!("     {}", finding.place));
+        if let Some(repair) = finding.fix.as_ref().map(fix) {
+            page += &terminal::paragraph(&format!("     --fix: {repair}"));
+        }
+    }
+    page + "\n"
+}
 
 /// The finding as a sentence, without its location.
 pub fn message(finding: &Finding) -> String {

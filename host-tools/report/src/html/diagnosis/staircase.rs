@@ -31,7 +31,7 @@ pub fn section(diagnosis: &Diagnosis) -> Section {
             }
             @if let Some(note) = steps::rising_force(stairs) { p.note { (note) } }
             @if !diagnosis.dropped.is_empty() { p.note { (steps::dropped_steps(diagnosis)) } }
-            (text_table("Step by step", &steps::step_rows(diagnosis)))
+            (text_table("Step by step", &steps::step_table(diagnosis)))
             p.note { (steps::STEP_NOTE) }
     };
     Section { id: "staircase", heading: "Error reduction".to_owned(), body }

@@ -9,7 +9,6 @@ pub mod conclusion;
 use analysis::compare::{
     AT_FLOOR, Comparison, FieldAxisErrors, ForceAxisErrors, ForceError, floor_g, rms_g,
 };
-use analysis::data_quality::Finding;
 use analysis::numbers;
 use analysis::replay::tare::TARE_HARM;
 use analysis::statistics::{ErrorStatistics, pooled_rms};
@@ -22,13 +21,13 @@ use attribution::{attribution_table, worst_json, worst_segments};
 use conclusion::{missing_forces, validation, verdict};
 
 pub fn format_report(comparison: &Comparison) -> String {
-    let mut page = data_findings(&comparison.findings);
+    let mut page = findings::format_list(&comparison.findings);
     if comparison.axes.is_empty() {
         page += &colored(ERROR, &verdict(comparison));
         return page;
     }
-    page += &field_table(comparison);
-    page += &force_table(comparison);
+    page += &format_field(comparison);
+    page += &format_force(comparison);
     page += &attribution_table(comparison);
     page += &worst_segments(&comparison.worst);
     page += &terminal::paragraph(&format!("Held-out rows: {}.", validation(comparison)));
@@ -78,35 +77,8 @@ fn verdict_style(comparison: &Comparison) -> Style {
     if rms_g(&comparison.axes) <= AT_FLOOR * floor_g(&comparison.axes) { GOOD } else { WARNING }
 }
 
-pub fn data_findings(findings: &[Finding]) -> String {
-    if findings.is_empty() {
-        return "No setup errors were found in these recordings.\n\n".to_owned();
-    }
-    let stops = findings.iter().any(|finding| finding.stops);
-    let (style, advice) = if stops {
-        (ERROR, "fix before evaluating the model")
-    } else {
-        (WARNING, "check before evaluating the model")
-    };
-    let mut page =
-        colored(style, &format!("Setup errors in the recordings ({}), {advice}:", findings.len()));
-    for (i, finding) in findings.iter().enumerate() {
-        page += &terminal::paragraph(&format!(
-            "  {}. {}: {}",
-            i + 1,
-            finding.id,
-            findings::message(finding)
-        ));
-        page += &terminal::paragraph(&format!("     {}", finding.place));
-        if let Some(fix) = &finding.fix {
-            page += &terminal::paragraph(&format!("     --fix: {}", findings::fix(fix)));
-        }
-    }
-    page + "\n"
-}
-
 /// The field error of each axis.
-pub fn field_rows(comparison: &Comparison) -> TextTable {
+pub fn field_table(comparison: &Comparison) -> TextTable {
     let unit = comparison.noise.unit.symbol();
     let heads = [
         "field",
@@ -128,10 +100,10 @@ pub fn field_rows(comparison: &Comparison) -> TextTable {
     TextTable::new(&heads, 1, rows)
 }
 
-fn field_table(comparison: &Comparison) -> String {
+fn format_field(comparison: &Comparison) -> String {
     format!(
         "{HEADING}Held-out field residual (measured minus model){HEADING:#}\n{}\n{}\n",
-        field_rows(comparison),
+        field_table(comparison),
         floor_sentence(comparison)
     )
 }
@@ -190,7 +162,7 @@ fn floor_sentence(comparison: &Comparison) -> String {
     terminal::paragraph(&text)
 }
 
-pub fn force_rows(comparison: &Comparison) -> TextTable {
+pub fn force_table(comparison: &Comparison) -> TextTable {
     let heads = [
         "force",
         "rmse / N",
@@ -213,13 +185,13 @@ pub fn force_rows(comparison: &Comparison) -> TextTable {
     TextTable::new(&heads, 1, rows)
 }
 
-fn force_table(comparison: &Comparison) -> String {
+fn format_force(comparison: &Comparison) -> String {
     if let Some(why) = &comparison.no_forces {
         return terminal::paragraph(&format!("No forces: {}.", missing_forces(why))) + "\n";
     }
     format!(
         "{HEADING}Held-out force error of the device code (fixed point){HEADING:#}\n{}\n{}\n",
-        force_rows(comparison),
+        force_table(comparison),
         tare_warning(&comparison.forces)
     )
 }

@@ -18,7 +18,6 @@ mod tests;
 use analysis::diagnose::Diagnosis;
 use serde_json::{Value, json};
 
-use crate::text::comparison::data_findings;
 use crate::text::findings;
 use crate::text::recording_plan::{self, format_proposal};
 use crate::text::terminal::{GOOD, WARNING, narrow, narrow_styled};
@@ -28,11 +27,11 @@ use open_questions::{
     equivalent_effects, inconclusive_effects, missing_columns, unexplained_json,
     unexplained_residual,
 };
-use steps::{force_headline, force_origins, step_table};
+use steps::{force_headline, force_origins, format_steps};
 use verdicts::{accepted_effects, verdict_json, verdict_table};
 
 pub fn format_report(diagnosis: &Diagnosis) -> String {
-    let mut page = data_findings(&diagnosis.findings);
+    let mut page = findings::format_list(&diagnosis.findings);
     if diagnosis.staircase.is_empty() {
         return page + &narrow(&verdict(diagnosis));
     }
@@ -41,7 +40,7 @@ pub fn format_report(diagnosis: &Diagnosis) -> String {
         page += &(narrow(&missing) + "\n");
     }
     page += &verdict_table(diagnosis);
-    page += &step_table(diagnosis);
+    page += &format_steps(diagnosis);
     page += &(narrow(&diagnosis.noise.sentence()) + "\n");
     page += &accepted_effects(diagnosis);
     page += &discovered_formulas(diagnosis);
@@ -67,7 +66,7 @@ pub const INTERRUPTED_NOTE: &str =
 
 /// The accepted effects, without the table of all candidates.
 pub fn format_summary(diagnosis: &Diagnosis) -> String {
-    let mut page = step_table(diagnosis);
+    let mut page = format_steps(diagnosis);
     page += &accepted_effects(diagnosis);
     page += &discovered_formulas(diagnosis);
     page += &equivalent_effects(diagnosis);

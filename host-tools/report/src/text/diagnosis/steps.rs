@@ -7,7 +7,7 @@ use analysis::numbers::signal;
 use crate::text::force_error;
 use crate::text::terminal::{NARROW_WIDTH, TextTable, narrow, or_dash};
 
-pub fn step_rows(diagnosis: &Diagnosis) -> TextTable {
+pub fn step_table(diagnosis: &Diagnosis) -> TextTable {
     let heads = ["step", "params", "excess / N", "force / N", "noise / N", "field", "x floor"];
     let rows = diagnosis.staircase.iter().map(|stair| {
         let floors = stair.held_out_rms_g / stair.floor_g;
@@ -27,13 +27,13 @@ pub fn step_rows(diagnosis: &Diagnosis) -> TextTable {
     TextTable { width: NARROW_WIDTH, ..TextTable::new(&heads, 1, rows) }
 }
 
-pub(super) fn step_table(diagnosis: &Diagnosis) -> String {
+pub(super) fn format_steps(diagnosis: &Diagnosis) -> String {
     let rise = rising_force(&diagnosis.staircase).map_or_else(String::new, |note| narrow(&note));
     let dropped = match dropped_steps(diagnosis) {
         text if text.is_empty() => text,
         text => narrow(&text),
     };
-    format!("{}\n{}{rise}{dropped}\n", step_rows(diagnosis), narrow(STEP_NOTE))
+    format!("{}\n{}{rise}{dropped}\n", step_table(diagnosis), narrow(STEP_NOTE))
 }
 
 /// What the columns of the steps are.
