@@ -241,6 +241,12 @@ fn recordings_of(count: usize) -> RecordingSet {
     RecordingSet { names: names.collect(), is_all: false }
 }
 
+/// The section of a page with this id, without its tags.
+pub fn section<'p>(page: &'p str, id: &str) -> &'p str {
+    let (_, rest) = page.split_once(&format!("<section id=\"{id}\">")).unwrap();
+    rest.split_once("</section>").unwrap().0
+}
+
 /// Asserts that no number without a value was written or drawn.
 pub fn assert_no_invalid_number(page: &str) {
     for word in ["NaN", "inf,", "inf ", "\"inf", "-2147483648", "2147483647"] {

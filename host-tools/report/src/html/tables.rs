@@ -2,6 +2,7 @@
 
 use maud::{Markup, Render, html};
 
+use crate::html::both;
 use crate::text::comparison::{field_table, force_table};
 use crate::text::terminal::TextTable;
 use analysis::compare::Comparison;
@@ -37,29 +38,31 @@ pub fn text_table(caption: &str, shown: &TextTable) -> Markup {
     table(caption, &shown.heads, &shown.rows)
 }
 
-/// Rows of both models under the same heads; the first cell names sensor and axis.
+/// Rows of both models under the same heads; the first cell names sensor and axis. Empty where neither model has a row.
 fn of_both(
     comparison: &Comparison,
     caption: &str,
     rows_of: fn(&Comparison) -> TextTable,
 ) -> Markup {
-    let TextTable { heads, rows: first, .. } = rows_of(comparison);
-    let other = comparison.other.as_deref().map_or_else(Vec::new, |other| rows_of(other).rows);
-    let with_other = first.iter().flat_map(|row| {
-        let same = other.iter().filter(|of_other| of_other[0] == row[0]);
-        std::iter::once(("A", row)).chain(same.map(|row| ("B", row)))
-    });
-    // The baseline may have other axes.
-    let alone = other.iter().filter(|row| first.iter().all(|of_first| of_first[0] != row[0]));
-    let rows = with_other.chain(alone.map(|row| ("B", row))).map(|(letter, row)| {
-        row.iter().enumerate().map(move |(column, cell)| {
+    let mut rows: Vec<(&str, Vec<String>)> = both(comparison)
+        .into_iter()
+        .flat_map(|(_, letter, of)| rows_of(of).rows.into_iter().map(move |row| (letter, row)))
+        .collect();
+    if rows.is_empty() {
+        return html! {};
+    }
+    // Stable: the sensors and axes keep their order, and A comes before B.
+    let names: Vec<String> = rows.iter().map(|(_, row)| row[0].clone()).collect();
+    rows.sort_by_key(|(_, row)| names.iter().position(|name| *name == row[0]));
+    let rows = rows.into_iter().map(|(letter, row)| {
+        row.into_iter().enumerate().map(move |(column, cell)| {
             html! {
                 (cell)
-                @if column == 0 && comparison.other.is_some() { " " span.model { (letter) } }
+                @if column == 0 && !letter.is_empty() { " " span.model { (letter) } }
             }
         })
     });
-    table(caption, &heads, rows)
+    table(caption, &rows_of(comparison).heads, rows)
 }
 
 /// Field errors and the composition of the floor.
@@ -99,9 +102,6 @@ pub fn of_field(comparison: &Comparison) -> Markup {
 }
 
 pub fn of_forces(comparison: &Comparison) -> Markup {
-    if comparison.forces.is_empty() {
-        return html! {};
-    }
     let caption = "Forces: device minus reference (x lateral, z longitudinal)";
     of_both(comparison, caption, force_table)
 }

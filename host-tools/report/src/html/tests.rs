@@ -1,7 +1,7 @@
 use std::time::Instant;
 
 use super::*;
-use crate::html::fixture::{assert_no_invalid_number, comparison, full};
+use crate::html::fixture::{assert_no_invalid_number, comparison, full, section};
 use analysis::compare::{Envelope, Trace};
 use analysis::data_quality::evidence::Evidence;
 
@@ -27,6 +27,15 @@ fn sections_are_in_order() {
     .map(|part| page.find(part).unwrap_or_else(|| panic!("{part} is missing")))
     .collect();
     assert!(places.is_sorted(), "{places:?}");
+}
+
+#[test]
+fn sections_of_results_have_plots() {
+    let page = page(&full(1));
+    for id in ["scale", "errors", "histograms", "located", "map"] {
+        assert!(section(&page, id).contains("role=\"img\""), "{id}");
+    }
+    assert!(!page.contains("could not be drawn"));
 }
 
 #[test]
@@ -144,6 +153,29 @@ fn second_model_is_compared_with_the_first() {
     // The script gets its curve.
     assert!(two.contains("\"role\":2"));
     assert!(!alone.contains("\"role\":2"));
+}
+
+#[test]
+fn rows_of_both_models_are_next_to_each_other() {
+    let page = page(&full(1));
+    let errors = section(&page, "errors");
+    let places = ["s0 Fx", "s0 Fz", "s1 Fx"].map(|name| {
+        ["A", "B"].map(|letter| {
+            let head = format!("<th scope=\"row\">{name} <span class=\"model\">{letter}</span>");
+            errors.find(&head).unwrap_or_else(|| panic!("{head} is missing"))
+        })
+    });
+    assert!(places.as_flattened().is_sorted(), "{places:?}");
+}
+
+#[test]
+fn forces_of_the_baseline_alone_have_a_table() {
+    let mut two = full(1);
+    two.forces.clear();
+    let page = page(&two);
+    let errors = section(&page, "errors");
+    assert!(errors.contains("s0 Fx <span class=\"model\">B</span>"));
+    assert!(!errors.contains("s0 Fx <span class=\"model\">A</span>"));
 }
 
 #[test]

@@ -1,5 +1,5 @@
 use super::*;
-use crate::html::fixture::{assert_no_invalid_number, comparison};
+use crate::html::fixture::{assert_no_invalid_number, comparison, section};
 use crate::html::page_with;
 use crate::text::diagnosis_fixture::full;
 use analysis::compare::{ErrorRows, ForceError};
@@ -7,11 +7,6 @@ use analysis::numbers::number;
 
 fn page(diagnosis: &Diagnosis) -> String {
     page_with(&comparison(1, 4, 4.0), &sections(diagnosis))
-}
-
-fn section<'a>(page: &'a str, id: &str) -> &'a str {
-    let (_, rest) = page.split_once(&format!("<section id=\"{id}\">")).unwrap();
-    rest.split_once("</section>").unwrap().0
 }
 
 #[test]
@@ -43,7 +38,8 @@ fn staircase_has_a_bar_with_its_height_per_step() {
         let height = format!("{} G.", number(step.held_out_rms_g));
         assert!(stairs.contains(&height), "{height}");
     }
-    assert!(stairs.contains("+ hysteresis") && stairs.contains("RMS in G"));
+    assert!(stairs.contains("<th scope=\"row\">+ hysteresis</th>"));
+    assert!(stairs.contains("RMS in G"));
 
     // With forces of every step: 0.5^2 - 0.4^2 = 0.3^2.
     let mut with_forces = full();
