@@ -2,7 +2,7 @@
 
 use crate::html::Section;
 use crate::html::palette::{self, Role};
-use crate::html::plot::{Along, Curve, Swatch, drawn_curves, key};
+use crate::html::plot::{Along, Curve, Swatch, curve_figure, key};
 use crate::html::tables::{table, text_table};
 use crate::text::grasp::motion_table;
 use analysis::numbers;
@@ -30,7 +30,7 @@ pub(super) fn curves(says: &str, (across, upwards): (&str, &str), curves: &[Curv
     let all = || curves.iter().flat_map(|(_, points)| points);
     let across = Along::holding(across, all().map(|point| point.0));
     let upwards = Along::holding(upwards, all().map(|point| point.1));
-    html! { figure { (drawn_curves(says, &across, &upwards, 1.5, curves)) } }
+    curve_figure(says, &across, &upwards, curves)
 }
 
 /// Step and frequency response of the current loop.

@@ -3,7 +3,7 @@
 use crate::html::Section;
 use crate::html::drive::{self, curves};
 use crate::html::palette::{self, Role};
-use crate::html::plot::{Along, Curve, Swatch, drawn_curves, key};
+use crate::html::plot::{Along, Curve, Swatch, curve_figure, key};
 use crate::html::tables::text_table;
 use crate::text::grasp::{grasp_tables, landing_table};
 use maud::{Markup, html};
@@ -100,8 +100,7 @@ fn state_plot(course: &GraspTrace, across: &str) -> Markup {
     };
     let states = curve(course, palette::FIRST, place);
     let across = Along::holding(across, states.1.iter().map(|point| point.0));
-    let drawn = drawn_curves("State over time.", &across, &Along::names(names), 1.5, &[states]);
-    html! { figure { (drawn) } }
+    curve_figure("State over time.", &across, &Along::names(names), &[states])
 }
 
 /// Forces, contacts and centre of pressure.

@@ -277,23 +277,21 @@ pub type Curve = (Role, Vec<(f64, f64)>);
 /// Maximum number of points of a curve, about two per pixel.
 const CURVE_POINTS: usize = 900;
 
-/// Curves as lines of `width` pixels.
-pub fn drawn_curves(
-    says: &str,
-    across: &Along,
-    upwards: &Along,
-    width: f64,
-    curves: &[Curve],
-) -> Markup {
-    figure(HALF, says, |paper| {
+/// Width of a curve in pixels.
+const CURVE_WIDTH: f64 = 1.5;
+
+/// A figure of curves.
+pub fn curve_figure(says: &str, across: &Along, upwards: &Along, curves: &[Curve]) -> Markup {
+    let drawn = figure(HALF, says, |paper| {
         let mut chart = axes(paper, across, upwards)?;
         for (role, points) in curves {
             let every = points.len().div_ceil(CURVE_POINTS).max(1);
             let thinned: Vec<_> = points.iter().copied().step_by(every).collect();
-            chart.draw_series([PathElement::new(thinned, stroke(*role, width))])?;
+            chart.draw_series([PathElement::new(thinned, stroke(*role, CURVE_WIDTH))])?;
         }
         Ok(())
-    })
+    });
+    html! { figure { (drawn) } }
 }
 
 /// Splits points at gaps into lines.

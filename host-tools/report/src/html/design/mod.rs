@@ -13,7 +13,7 @@ use maud::{Markup, html};
 use plotters::prelude::*;
 
 use crate::html::palette::{self, Role};
-use crate::html::plot::{Along, HALF, Swatch, axes, drawn_curves, figure, key, px};
+use crate::html::plot::{Along, HALF, Swatch, axes, curve_figure, figure, key, px};
 
 /// Colours of up to four series.
 const ROLES: [Role; 4] = [palette::FIRST, palette::SECOND, palette::THIRD, palette::INK];
@@ -35,7 +35,7 @@ fn curves(
         .collect();
     let curves: Vec<_> =
         curves.iter().zip(ROLES).map(|((_, points), role)| (role, points.clone())).collect();
-    html! { figure { (drawn_curves(says, &across, &upwards, 1.8, &curves)) } (key(&entries)) }
+    html! { (curve_figure(says, &across, &upwards, &curves)) (key(&entries)) }
 }
 
 /// Point cloud and its colour.

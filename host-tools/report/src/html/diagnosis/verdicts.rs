@@ -2,7 +2,7 @@
 
 use crate::html::Section;
 use crate::html::diagnosis::effect;
-use crate::html::tables::table;
+use crate::html::tables::{table, text_table};
 use crate::text::diagnosis::open_questions::{self, EquivalentSet, InconclusiveGroup};
 use crate::text::diagnosis::{INTERRUPTED_NOTE, conclusion, formulas, reasons, steps, verdicts};
 use crate::text::recording_plan;
@@ -97,10 +97,6 @@ pub fn found_section(diagnosis: &Diagnosis) -> Option<Section> {
 fn formula_part(diagnosis: &Diagnosis, formula: &DiscoveredFormula) -> Markup {
     let shape = diagnosis.shapes.iter().find(|shape| shape.effects.contains(&formula.name));
     let device = formulas::formula_on_device(diagnosis, formula);
-    let numbers = formula.models.first().map_or(&[][..], |model| &model.sensors);
-    let heads: Vec<String> = std::iter::once("parameter".to_owned())
-        .chain(numbers.iter().map(|sensor| format!("sensor {}", sensor.number)))
-        .collect();
     html! {
         h3 { (formulas::formula_heading(diagnosis, formula)) }
         @for model in &formula.models {
@@ -110,7 +106,7 @@ fn formula_part(diagnosis: &Diagnosis, formula: &DiscoveredFormula) -> Markup {
         p.note { (formulas::formula_alternatives(formula)) }
         @if !device.is_empty() { p.note { (device) } }
         @if let Some(shape) = shape { (effect::strongest(shape)) (effect::all(shape)) }
-        (table("Values at each sensor, with standard errors", &heads, formulas::formula_values(formula)))
+        (text_table("Values at each sensor, with standard errors", &formulas::formula_table(formula)))
     }
 }
 

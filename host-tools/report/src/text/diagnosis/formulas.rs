@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 use super::reasons::reduction;
 use super::verdicts::{device_line, of_device, runs_on_device};
 use crate::text::causes::causes_sentence;
-use crate::text::terminal::{self, HEADING, NARROW_WIDTH, narrow, narrow_styled};
+use crate::text::terminal::{HEADING, NARROW_WIDTH, TextTable, narrow, narrow_styled};
 
 /// Formulas beyond the catalogue: text, evidence, values of each sensor.
 pub(super) fn discovered_formulas(diagnosis: &Diagnosis) -> String {
@@ -22,17 +22,7 @@ pub(super) fn discovered_formulas(diagnosis: &Diagnosis) -> String {
         page += &narrow(&format!("  {}", formula_evidence(diagnosis, formula)));
         page += &narrow(&format!("  {}", formula_alternatives(formula)));
         page += &device_line(&formula_on_device(diagnosis, formula));
-        let numbers = formula.models.iter().flat_map(|model| &model.sensors);
-        let mut numbers: Vec<u32> = numbers.map(|sensor| sensor.number).collect();
-        numbers.sort_unstable();
-        numbers.dedup();
-        let heads = numbers.iter().map(|number| format!("sensor {number}"));
-        let mut table = terminal::table(std::iter::once("parameter".to_owned()).chain(heads));
-        table.set_width(NARROW_WIDTH);
-        for row in formula_values(formula) {
-            table.add_row(row);
-        }
-        page += &format!("{table}\n\n");
+        page += &format!("{}\n\n", formula_table(formula));
     }
     page
 }
@@ -94,9 +84,22 @@ fn formula_floors(diagnosis: &Diagnosis, formula: &DiscoveredFormula) -> f64 {
     step.map_or(f64::NAN, |step| step.held_out_rms_g / step.floor_g)
 }
 
+/// Values of the parameters of a formula at each sensor, with standard errors.
+pub fn formula_table(formula: &DiscoveredFormula) -> TextTable {
+    let numbers = formula.models.iter().flat_map(|model| &model.sensors);
+    let mut numbers: Vec<u32> = numbers.map(|sensor| sensor.number).collect();
+    numbers.sort_unstable();
+    numbers.dedup();
+    let sensors = numbers.iter().map(|number| format!("sensor {number}"));
+    let heads: Vec<String> = std::iter::once("parameter".to_owned()).chain(sensors).collect();
+    // A value with its standard error is a text.
+    let text_columns = heads.len();
+    TextTable { heads, rows: formula_values(formula), text_columns, width: NARROW_WIDTH }
+}
+
 /// Name and unit of each parameter of a formula, and its value at each sensor, in units of a power of ten where it is small or
 /// large.
-pub fn formula_values(formula: &DiscoveredFormula) -> Vec<Vec<String>> {
+fn formula_values(formula: &DiscoveredFormula) -> Vec<Vec<String>> {
     let mut rows = Vec::new();
     for model in &formula.models {
         let Some(first) = model.sensors.first() else { continue };
