@@ -7,7 +7,6 @@ pub mod world;
 
 #[cfg(unix)]
 pub use running::VirtualBoard;
-pub use world::Unplug;
 
 /// Not available without pseudo terminals.
 #[cfg(not(unix))]

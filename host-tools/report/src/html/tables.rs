@@ -1,4 +1,4 @@
-//! Tables of the errors.
+//! Tables of a page: [`table`], [`text_table`], and those of the errors of a comparison.
 
 use maud::{Markup, Render, html};
 

@@ -71,9 +71,9 @@ fn describe_magnet(shape: &MagnetShape) -> String {
 }
 
 /// A quantity of both axes: name, unit, values.
-pub type AxisQuantity = (&'static str, &'static str, [f64; 2]);
+type AxisQuantity = (&'static str, &'static str, [f64; 2]);
 
-pub fn figures(evaluation: &DesignEvaluation) -> Vec<AxisQuantity> {
+fn figures(evaluation: &DesignEvaluation) -> Vec<AxisQuantity> {
     let both = |of: fn(&AxisEvaluation) -> f64| evaluation.axes.each_ref().map(of);
     let measured = |of: fn(&AxisEvaluation) -> f64| {
         evaluation
@@ -96,7 +96,7 @@ pub fn figures(evaluation: &DesignEvaluation) -> Vec<AxisQuantity> {
 }
 
 /// Force limit of both axes by cause, in N.
-pub fn limits(evaluation: &DesignEvaluation) -> Vec<(RangeLimit, [f64; 2])> {
+fn limits(evaluation: &DesignEvaluation) -> Vec<(RangeLimit, [f64; 2])> {
     let of = |i: usize| evaluation.axes.each_ref().map(|axis| axis.limits.force_n[i]);
     let causes = RangeLimit::ALL.into_iter().enumerate();
     causes.map(|(i, cause)| (cause, of(i))).collect()

@@ -1,4 +1,4 @@
-//! Results as text, tables and JSON: one file for each result.
+//! Results as text, tables and JSON: one module for each result.
 
 use analysis::statistics::Moments;
 

@@ -1,4 +1,4 @@
-//! Terminal output: tables and wrapped text.
+//! Terminal output: tables and wrapped text; [`TextTable`] is also drawn on pages.
 
 use std::fmt;
 use std::io::{ErrorKind, Write};

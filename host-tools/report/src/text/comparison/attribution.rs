@@ -146,7 +146,7 @@ pub fn dependence(covariate: &str, words: &str) -> String {
 }
 
 /// "48 % of the residual follows the opening, most of it below 12 mm".
-pub fn follows(located: &Attribution) -> String {
+pub(super) fn follows(located: &Attribution) -> String {
     let share = format!(
         "{:.0} % of the residual {}",
         100.0 * located.share,

@@ -18,7 +18,7 @@ const MIN_SHOWN: f64 = 0.01;
 const MAX_LISTED: usize = 6;
 
 /// The verdicts with something to say, and how many others a large unexplained residual prevents.
-pub fn shown_verdicts(diagnosis: &Diagnosis) -> (Vec<&Verdict>, usize) {
+fn shown_verdicts(diagnosis: &Diagnosis) -> (Vec<&Verdict>, usize) {
     let says_nothing = |verdict: &&Verdict| {
         matches!(verdict.reason, Reason::UnexplainedResidual(_)) && verdict.gain < MIN_SHOWN
     };
