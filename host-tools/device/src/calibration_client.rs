@@ -16,13 +16,13 @@ use model_export::inverse::calibration::CalibrationDescription;
 use serde::Serialize;
 
 use crate::session::SessionSource;
-use crate::source::{self, Source, ask_once, messages};
+use crate::source::{self, Source, receive_messages, request_once};
 
 /// Timeout of a request and number of attempts.
-const PATIENCE: Duration = Duration::from_millis(500);
-const TIMES: u32 = 6;
+const TIMEOUT: Duration = Duration::from_millis(500);
+const ATTEMPTS: u32 = 6;
 /// The gripper erases two pages and verifies all bytes in this time.
-const SLOW_PATIENCE: Duration = Duration::from_secs(2);
+const SLOW_TIMEOUT: Duration = Duration::from_secs(2);
 /// Timeout of a measurement of motor or screw, with a margin for slow emulations.
 const IDENTIFICATION: Duration = Duration::from_secs(60);
 /// Time without an acknowledgement after which chunks are repeated.
@@ -106,7 +106,7 @@ pub fn upload(
     if length > MAX_BYTES {
         bail!("{length} bytes do not fit the gripper's {MAX_BYTES}");
     }
-    let reply = request(source, op::UPLOAD, length, SLOW_PATIENCE)?;
+    let reply = request(source, op::UPLOAD, length, SLOW_TIMEOUT)?;
     done(source, reply)?;
     let chunks: Vec<[u8; CHUNK_BYTES]> = bytes
         .chunks(CHUNK_BYTES)
@@ -149,7 +149,7 @@ pub fn upload(
     }
     let mut code = source.digest().context("no session is open")?;
     code.update(bytes);
-    let reply = request(source, op::FINISH_UPLOAD, code.finish(), SLOW_PATIENCE)?;
+    let reply = request(source, op::FINISH_UPLOAD, code.finish(), SLOW_TIMEOUT)?;
     done(source, reply)
 }
 
@@ -215,7 +215,7 @@ pub fn running(source: &mut dyn Source) -> Result<RunningCalibration> {
 /// No reply, or the gripper refuses: the previous tare stays.
 pub fn tare(source: &mut SessionSource<'_>, is_unloaded: bool, saves: bool) -> Result<()> {
     let argument = if is_unloaded { UNLOADED } else { 0 };
-    let reply = request(source, op::TARE, argument, SLOW_PATIENCE)?;
+    let reply = request(source, op::TARE, argument, SLOW_TIMEOUT)?;
     let sensor = reply.detail & 0xFF;
     let why = match (reply.status, reply.detail >> 8) {
         (status::DONE, _) => {
@@ -248,7 +248,7 @@ pub fn tare(source: &mut SessionSource<'_>, is_unloaded: bool, saves: bool) -> R
 /// # Errors
 /// No reply, or the gripper refuses: the flash holds the previous ones.
 pub fn save(source: &mut SessionSource<'_>) -> Result<()> {
-    let reply = request(source, op::SAVE, 0, SLOW_PATIENCE)?;
+    let reply = request(source, op::SAVE, 0, SLOW_TIMEOUT)?;
     done(source, reply).map(|_| ())
 }
 
@@ -263,8 +263,8 @@ pub fn identify(
     saves: bool,
 ) -> Result<bool> {
     let (op, argument) = (op::MEASURE, kind as u32);
-    let answer = |message: &Message| reply(message, op);
-    let reply = ask_once(source, service(op, argument), IDENTIFICATION, answer)?;
+    let reply_of = |message: &Message| reply(message, op);
+    let reply = request_once(source, service(op, argument), IDENTIFICATION, reply_of)?;
     let Some(ServiceReply { status, detail, .. }) = reply else {
         bail!("{}: no reply; the fingers may have moved", source.name());
     };
@@ -348,7 +348,8 @@ pub fn write_key(source: &mut dyn Source, key: Key) -> Result<bool> {
         source.send(Message::KeyPart(KeyPart { number, part }))?;
         source.pause(KEY_PART_TIME)?;
     }
-    let reply = ask_once(source, service(op, check), SLOW_PATIENCE, |message| reply(message, op))?;
+    let reply =
+        request_once(source, service(op, check), SLOW_TIMEOUT, |message| reply(message, op))?;
     let why = match reply.map(|reply| reply.status) {
         Some(status::DONE) => return Ok(true),
         Some(status::NOT_PRESENT) => return Ok(false),
@@ -363,7 +364,8 @@ pub fn write_key(source: &mut dyn Source, key: Key) -> Result<bool> {
 }
 
 fn version(source: &mut dyn Source) -> Result<Version> {
-    ask(source, service(op::VERSION, 0), PATIENCE, |message| match message {
+    let limits = (TIMEOUT, ATTEMPTS);
+    source::request(source, service(op::VERSION, 0), limits, |message| match message {
         Message::Version(version) => Some(*version),
         _ => None,
     })
@@ -371,33 +373,27 @@ fn version(source: &mut dyn Source) -> Result<Version> {
 
 /// Part of the description; a late reply for another part is ignored.
 fn describe(source: &mut dyn Source, argument: u32) -> Result<ServiceReply> {
-    ask(source, service(op::DESCRIPTION, argument), PATIENCE, |message| {
+    let limits = (TIMEOUT, ATTEMPTS);
+    source::request(source, service(op::DESCRIPTION, argument), limits, |message| {
         let reply = reply(message, op::DESCRIPTION)?;
         (u32::from(reply.extra) == argument || reply.status == status::UNKNOWN).then_some(reply)
     })
 }
 
-/// Sends a request until it is answered.
+/// Requests a service up to [`ATTEMPTS`] times and waits for a reply for `timeout` each time.
 fn request(
     source: &mut dyn Source,
     op: u8,
     argument: u32,
-    patience: Duration,
+    timeout: Duration,
 ) -> Result<ServiceReply> {
-    ask(source, service(op, argument), patience, |message| reply(message, op))
-}
-
-fn ask<T>(
-    source: &mut dyn Source,
-    message: Message,
-    patience: Duration,
-    answer: impl Fn(&Message) -> Option<T>,
-) -> Result<T> {
-    source::ask(source, message, (patience, TIMES), answer)
+    source::request(source, service(op, argument), (timeout, ATTEMPTS), |message| {
+        reply(message, op)
+    })
 }
 
 fn replies(source: &mut dyn Source, op: u8) -> Result<Vec<ServiceReply>> {
-    Ok(messages(source)?.iter().filter_map(|message| reply(message, op)).collect())
+    Ok(receive_messages(source)?.iter().filter_map(|message| reply(message, op)).collect())
 }
 
 fn reply(message: &Message, op: u8) -> Option<ServiceReply> {

@@ -11,14 +11,15 @@ use crate::session::SessionSource;
 use crate::source::{self, Source};
 
 /// Timeout of a request and number of attempts.
-const ATTEMPTS: (Duration, u32) = (Duration::from_millis(250), 8);
+const TIMEOUT: Duration = Duration::from_millis(250);
+const ATTEMPTS: u32 = 8;
 
 /// Reads a parameter.
 ///
 /// # Errors
 /// No reply, or an unknown parameter.
 pub fn read(source: &mut dyn Source, id: u16) -> Result<i32> {
-    ask(source, op::READ, id, 0)
+    request(source, op::READ, id, 0)
 }
 
 /// Sets a parameter until the next restart.
@@ -26,12 +27,13 @@ pub fn read(source: &mut dyn Source, id: u16) -> Result<i32> {
 /// # Errors
 /// No reply, or refused.
 pub fn write(source: &mut SessionSource<'_>, id: u16, value: i32) -> Result<()> {
-    ask(source, op::WRITE, id, value).map(|_| ())
+    request(source, op::WRITE, id, value).map(|_| ())
 }
 
-fn ask(source: &mut dyn Source, op: u8, id: u16, value: i32) -> Result<i32> {
-    let request = ParamRequest { op, id, value: value as u32, ..ParamRequest::default() };
-    let reply = source::ask(source, Message::ParamRequest(request), ATTEMPTS, |message| {
+fn request(source: &mut dyn Source, op: u8, id: u16, value: i32) -> Result<i32> {
+    let message = ParamRequest { op, id, value: value as u32, ..ParamRequest::default() };
+    let message = Message::ParamRequest(message);
+    let reply = source::request(source, message, (TIMEOUT, ATTEMPTS), |message| {
         let Message::ParamReply(reply) = message else { return None };
         (reply.op == op && reply.id == id).then_some(*reply)
     })?;

@@ -3,7 +3,7 @@
 
 use crate::control::CLOSED_MM;
 use crate::format::state_name;
-use crate::source::{ConnectionLost, SILENCE, Source, messages};
+use crate::source::{ConnectionLost, SILENCE, Source, receive_messages};
 use crate::state::GripperState;
 use anyhow::{Result, bail};
 use firmware::config::limits::GripLimits;
@@ -88,7 +88,7 @@ pub(crate) fn open(
         }
         let asked = source.now();
         while source.now() < asked + REQUEST {
-            for message in messages(source)? {
+            for message in receive_messages(source)? {
                 let Message::ServiceReply(reply) = message else { continue };
                 if reply.op == op {
                     refused = Some(reply.status);

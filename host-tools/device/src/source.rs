@@ -1,4 +1,4 @@
-//! Transport of packets from and to a gripper.
+//! Transport of packets from and to a gripper, and requests with their replies over it.
 
 use std::sync::LazyLock;
 use std::thread::sleep;
@@ -91,7 +91,7 @@ pub(crate) fn is_pending(error: &io::Error) -> bool {
 ///
 /// # Errors
 /// The connection is lost or closed.
-pub fn messages(source: &mut dyn Source) -> Result<Vec<Message>> {
+pub(crate) fn receive_messages(source: &mut dyn Source) -> Result<Vec<Message>> {
     let mut packets = Vec::new();
     if !source.receive(&mut packets)? && packets.is_empty() {
         bail!("{}: connection closed", source.name());
@@ -103,39 +103,39 @@ pub fn messages(source: &mut dyn Source) -> Result<Vec<Message>> {
     Ok(packets.into_iter().filter_map(message).collect())
 }
 
-/// Sends a request until it is answered: time for an answer, and number of attempts.
+/// Sends a request up to `attempts` times and waits for a reply for `timeout` each time.
 ///
 /// # Errors
-/// No answer, or the connection is lost.
-pub fn ask<T>(
+/// No reply, or the connection is lost.
+pub(crate) fn request<T>(
     source: &mut dyn Source,
-    request: Message,
-    (patience, times): (Duration, u32),
-    answer: impl Fn(&Message) -> Option<T>,
+    message: Message,
+    (timeout, attempts): (Duration, u32),
+    reply_of: impl Fn(&Message) -> Option<T>,
 ) -> Result<T> {
-    for _ in 0..times {
-        if let Some(answer) = ask_once(source, request, patience, &answer)? {
-            return Ok(answer);
+    for _ in 0..attempts {
+        if let Some(reply) = request_once(source, message, timeout, &reply_of)? {
+            return Ok(reply);
         }
     }
     Err(ConnectionLost::unreachable(&source.name()).into())
 }
 
-/// Sends a request once; none without an answer in time.
+/// Sends a request once; `None` without a reply within `timeout`.
 ///
 /// # Errors
 /// The connection is lost.
-pub fn ask_once<T>(
+pub(crate) fn request_once<T>(
     source: &mut dyn Source,
-    request: Message,
-    patience: Duration,
-    answer: impl Fn(&Message) -> Option<T>,
+    message: Message,
+    timeout: Duration,
+    reply_of: impl Fn(&Message) -> Option<T>,
 ) -> Result<Option<T>> {
-    source.send(request)?;
-    let asked = source.now();
-    while source.now() < asked + patience {
-        if let Some(answer) = messages(source)?.iter().find_map(&answer) {
-            return Ok(Some(answer));
+    source.send(message)?;
+    let sent = source.now();
+    while source.now() < sent + timeout {
+        if let Some(reply) = receive_messages(source)?.iter().find_map(&reply_of) {
+            return Ok(Some(reply));
         }
     }
     Ok(None)
