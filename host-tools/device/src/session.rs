@@ -58,28 +58,22 @@ impl SessionSource<'_> {
     }
 
     fn open(&mut self) -> Result<()> {
-        let opened = open(self.source, &mut self.session, op::OPEN, REQUESTS)?;
-        let name = self.source.name();
-        match opened {
-            Ok(()) => {
-                self.sealed = self.source.now();
-                Ok(())
-            }
-            Err(Some(status)) => {
-                bail!("{name}: the gripper opens no session: {}", session_refusal(status))
-            }
-            Err(None) => Err(ConnectionLost::unreachable(&name).into()),
-        }
+        open(self.source, &mut self.session, op::OPEN, REQUESTS)?;
+        self.sealed = self.source.now();
+        Ok(())
     }
 }
 
-/// Requests a session by this operation until it is open, for a limited time; the status of the last refusal where it is not.
+/// Requests a session until the gripper confirms it, for at most `limit`.
+///
+/// # Errors
+/// The gripper refuses the session or does not reply ([`ConnectionLost`]), or the connection is lost.
 pub(crate) fn open(
     source: &mut dyn Source,
     session: &mut HostSession,
     op: u8,
     limit: Duration,
-) -> Result<Result<(), Option<u8>>> {
+) -> Result<()> {
     let begun = source.now();
     let mut refused = None;
     while source.now() < begun + limit {
@@ -98,11 +92,15 @@ pub(crate) fn open(
                 }
             }
             if session.is_armed() || op == op::OPEN && session.is_open() {
-                return Ok(Ok(()));
+                return Ok(());
             }
         }
     }
-    Ok(Err(refused))
+    let name = source.name();
+    match refused {
+        Some(status) => bail!("{name}: the gripper opens no session: {}", session_refusal(status)),
+        None => Err(ConnectionLost::unreachable(&name).into()),
+    }
 }
 
 impl Source for SessionSource<'_> {

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
 use firmware::grip::commands::mode;
 use firmware::motor::calibration::CalibrationKind;
 use firmware::parameters::schema::id;
@@ -111,9 +111,8 @@ impl Gripper<'_> {
     pub fn arm(&mut self) -> Result<Armed<'_>> {
         let Self { source, credentials } = self;
         let mut session = HostSession::new(credentials.node, credentials.key);
-        if session::open(&mut **source, &mut session, op::ARM, ARMING)?.is_err() {
-            bail!("the gripper cannot be armed: see the faults in `cargo magpie monitor`");
-        }
+        session::open(&mut **source, &mut session, op::ARM, ARMING)
+            .context("the gripper cannot be armed: see the faults in `cargo magpie monitor`")?;
         let gripper = Gripper { source: &mut **source, credentials: *credentials };
         Ok(Armed { gripper, session })
     }
