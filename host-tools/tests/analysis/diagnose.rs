@@ -39,6 +39,8 @@ fn report_contains_diagnosis_and_comparison() {
         "what neighbour_magnet took away",
         "over the opening",
         "<section id=\"overlay\"",
+        // Forces in the data of the curves over time.
+        "\"kind\":\"force\"",
     ] {
         assert!(text.contains(part), "{part}");
     }
