@@ -2,8 +2,6 @@
 
 use analysis::progress;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
 
 use anyhow::{Context, Result};
 use firmware::protocol::DEFAULT_NODE;
@@ -14,7 +12,6 @@ use model_export::output::StagingDir;
 use model_export::recordings::align::Alignment;
 
 use crate::commands::args::parse_number;
-use crate::commands::output::INTERRUPTED;
 use analysis::compare::campaign_reader::read_campaign;
 use analysis::fit::fit_campaign;
 use device::reference::{ReferenceMapping, ReferenceSource};
@@ -287,26 +284,6 @@ pub fn print_unprotected(name: &str) {
     eprintln!(
         "note: {name}: the gripper is unprotected, everybody on its bus can move it; see `cargo magpie board key --help`"
     );
-}
-
-/// A flag that is set by Ctrl-C (SIGINT) or SIGTERM.
-pub fn interrupted() -> Result<Arc<AtomicBool>> {
-    let flag = Arc::new(AtomicBool::new(false));
-    for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
-        signal_hook::flag::register(signal, flag.clone())
-            .context("cannot install the handler for Ctrl-C")?;
-    }
-    Ok(flag)
-}
-
-/// A flag after which Ctrl-C or SIGTERM ends the process.
-pub fn end_on_interrupt() -> Result<Arc<AtomicBool>> {
-    let flag = Arc::new(AtomicBool::new(false));
-    for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
-        signal_hook::flag::register_conditional_shutdown(signal, INTERRUPTED, flag.clone())
-            .context("cannot install the handler for Ctrl-C")?;
-    }
-    Ok(flag)
 }
 
 /// Durations in seconds: a millisecond to a year.

@@ -9,7 +9,8 @@ use anyhow::Result;
 use model_export::output::{check_output, write_output};
 
 use crate::commands::args::{CompareArgs, ExprArgs};
-use crate::commands::output::{INTERRUPTED, first_interrupt, print_notes};
+use crate::commands::interrupt::{INTERRUPTED, first_interrupt};
+use crate::commands::output::print_notes;
 use analysis::compare::campaign_reader::Caching;
 use analysis::compare::checked_campaign::CheckedCampaign;
 use analysis::compare::pipeline::compare_checked;

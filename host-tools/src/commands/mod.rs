@@ -1,4 +1,4 @@
-//! The command line: one module for each command; [`args`], [`connection`] and [`output`] are shared by several.
+//! The command line: one module for each command; [`args`], [`connection`], [`interrupt`] and [`output`] are shared by several.
 
 pub mod args;
 pub mod board;
@@ -17,6 +17,7 @@ pub mod fit;
 pub mod grasp;
 pub mod identify;
 pub mod import;
+pub mod interrupt;
 pub mod key;
 pub mod monitor;
 pub mod output;

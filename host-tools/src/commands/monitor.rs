@@ -11,7 +11,8 @@ use firmware::protocol::session::op;
 use ratatui::DefaultTerminal;
 use ratatui::crossterm::event::{self, Event, KeyCode, KeyModifiers};
 
-use crate::commands::connection::{GripperArgs, interrupted, parse_seconds, print_unprotected};
+use crate::commands::connection::{GripperArgs, parse_seconds, print_unprotected};
+use crate::commands::interrupt::interrupted;
 use device::foxglove::FoxgloveServer;
 use device::reader::{ReaderEvent, SourceReader};
 use device::session::check_protocol;

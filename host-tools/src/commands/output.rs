@@ -1,28 +1,8 @@
-//! What several commands print on stderr, and how Ctrl-C ends them.
-
-use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
+//! What several commands print on stderr.
 
 use analysis::notes::Note;
-use anyhow::Context;
-use device::control::result_code::ResultCode;
 use firmware::sensors::hall::SENSORS;
 use model_export::inverse::build::{DeviceModel, ExportHeader};
-use signal_hook::consts::SIGINT;
-
-/// Exit status of a process that Ctrl-C ended.
-pub const INTERRUPTED: i32 = ResultCode::Interrupted.status() as i32;
-
-/// A flag that the first Ctrl-C sets; the second ends the process.
-pub fn first_interrupt() -> anyhow::Result<Arc<AtomicBool>> {
-    let flag = Arc::new(AtomicBool::new(false));
-    let context = "cannot install the handler for Ctrl-C";
-    // In this order: the first one only arms the end.
-    signal_hook::flag::register_conditional_shutdown(SIGINT, INTERRUPTED, flag.clone())
-        .context(context)?;
-    signal_hook::flag::register(SIGINT, flag.clone()).context(context)?;
-    Ok(flag)
-}
 
 /// Prints notes on stderr.
 pub fn print_notes(notes: &[Note]) {

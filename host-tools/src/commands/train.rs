@@ -15,7 +15,8 @@ use model_export::gru::train::trainer::{Trainer, TrainingSettings};
 use model_export::output::check_output;
 
 use crate::commands::args::AlignArgs;
-use crate::commands::output::{INTERRUPTED, first_interrupt, print_notes};
+use crate::commands::interrupt::{INTERRUPTED, first_interrupt};
+use crate::commands::output::print_notes;
 use analysis::network_training::dataset::TrainingData;
 use analysis::network_training::{
     DEFAULT_PATIENCE, DEFAULT_RATE, MAX_HIDDEN, TrainingResult, check_settings, default_epochs,

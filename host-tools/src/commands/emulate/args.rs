@@ -2,8 +2,6 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Result, anyhow};
-
 use crate::commands::connection::parse_seconds;
 
 /// Run the unmodified firmware image in an emulated chip with a simulated gripper.
@@ -75,30 +73,6 @@ pub struct Args {
     /// Print one JSON object at the end on stdout and nothing else.
     #[arg(long)]
     pub(super) json: bool,
-}
-
-/// Output paths of the image builds.
-const IMAGES: [&str; 2] = [
-    "target/thumbv7em-none-eabihf/image/firmware",
-    "target/debian/thumbv7em-none-eabihf/image/firmware",
-];
-
-/// The newest image build.
-///
-/// # Errors
-/// There is none.
-pub fn default_image() -> Result<PathBuf> {
-    let existing = IMAGES.iter().map(PathBuf::from).filter(|path| path.is_file());
-    let newest =
-        existing.max_by_key(|path| path.metadata().and_then(|metadata| metadata.modified()).ok());
-    newest.ok_or_else(|| {
-        anyhow!(
-            "no image at {} or {}: build one with `cargo image` (or `.ci/image debian`, with Debian's \
-             compiler), or give an ELF file",
-            IMAGES[0],
-            IMAGES[1]
-        )
-    })
 }
 
 /// Execution time models.

@@ -2,11 +2,11 @@
 
 use analysis::progress;
 use std::cell::RefCell;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::rc::Rc;
 use std::sync::atomic::Ordering::Relaxed;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, anyhow};
 use emulator::peripherals::flash;
 use emulator::{Image, Time};
 use indicatif::ProgressBar;
@@ -14,9 +14,9 @@ use model_export::input;
 use model_export::inverse::build::{ModelVariant, build};
 use model_export::output::{check_output, write_output};
 
-use crate::commands::connection::interrupted;
-use crate::commands::emulate::args::{Args, Timing, default_image};
+use crate::commands::emulate::args::{Args, Timing};
 use crate::commands::emulate::text::{self, End, Setup, format_fault, format_reset};
+use crate::commands::interrupt::interrupted;
 use device::emulation::pace::Pace;
 use device::emulation::{CanPort, Emulation, Notice};
 use device::pty::Pty;
@@ -32,6 +32,11 @@ use sim::closed_loop::motor_rig::MotorRig;
 use sim::drivetrain::fingertips::Fingertips;
 use sim::drivetrain::parameters::{Lead, PlantParameters};
 
+/// Output paths of the image builds.
+const IMAGES: [&str; 2] = [
+    "target/thumbv7em-none-eabihf/image/firmware",
+    "target/debian/thumbv7em-none-eabihf/image/firmware",
+];
 /// First bytes of a file with the settings of a board, bank 2 of its flash.
 const FLASH_MARK: &str = "MAGPIE emulated flash, bank 2\n";
 /// Sampling period of the program counter, no divisor of the task periods.
@@ -77,6 +82,24 @@ pub(super) fn run(args: &Args) -> Result<()> {
         End::Failed(error) => Err(error),
         _ => Ok(()),
     }
+}
+
+/// The newest image build.
+///
+/// # Errors
+/// There is none.
+fn default_image() -> Result<PathBuf> {
+    let existing = IMAGES.iter().map(PathBuf::from).filter(|path| path.is_file());
+    let newest =
+        existing.max_by_key(|path| path.metadata().and_then(|metadata| metadata.modified()).ok());
+    newest.ok_or_else(|| {
+        anyhow!(
+            "no image at {} or {}: build one with `cargo image` (or `.ci/image debian`, with Debian's \
+             compiler), or give an ELF file",
+            IMAGES[0],
+            IMAGES[1]
+        )
+    })
 }
 
 /// Settings from an earlier emulation.

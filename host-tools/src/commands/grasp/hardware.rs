@@ -17,8 +17,8 @@ use firmware::parameters::schema::id;
 use report::text::terminal;
 use serde_json::json;
 
-use crate::commands::connection::{end_on_interrupt, interrupted};
 use crate::commands::grasp::args::{Args, Profile};
+use crate::commands::interrupt::{end_on_interrupt, interrupted};
 
 fn request(args: &Args) -> Result<Request> {
     if let Some(opening_mm) = args.release {

@@ -27,9 +27,8 @@ use model_export::recordings::{Campaign, Recording};
 mod guide;
 mod summary;
 
-use crate::commands::connection::{
-    GripperArgs, Reference, ReferenceArgs, interrupted, parse_seconds,
-};
+use crate::commands::connection::{GripperArgs, Reference, ReferenceArgs, parse_seconds};
+use crate::commands::interrupt::interrupted;
 use device::control::result_code::ResultCode;
 use device::params_client;
 use device::reader::{ReaderEvent, SourceReader};
