@@ -22,18 +22,25 @@ impl Model {
     /// # Errors
     /// It cannot be read, or an effect is invalid.
     pub fn read(path: &Path) -> Result<Self, DataError> {
-        let file = ModelFile::read(path)?;
-        Ok(Self { effects: file.effect_terms(path)?, path: path.to_path_buf(), file })
+        Self::of(path, ModelFile::read(path)?)
     }
 
-    /// A fitted base, which has no effects.
-    pub fn base(path: impl Into<PathBuf>, file: ModelFile) -> Self {
-        Self { path: path.into(), file, effects: Vec::new() }
+    /// The content of a model file; `path` names it in messages.
+    ///
+    /// # Errors
+    /// An effect is invalid.
+    pub fn of(path: &Path, file: ModelFile) -> Result<Self, DataError> {
+        Ok(Self { effects: file.effect_terms(path)?, path: path.to_path_buf(), file })
     }
 
     /// Whether the error of one of its effects has such an origin.
     pub fn has_origin(&self, is_origin: impl Fn(ErrorOrigin) -> bool) -> bool {
         self.effects.iter().any(|effect| is_origin(effect.error_origin()))
+    }
+
+    /// Whether the device does not compensate the error of one of its effects, so that recordings are corrected for it.
+    pub fn needs_corrections(&self) -> bool {
+        self.has_origin(|origin| origin != ErrorOrigin::Compensated)
     }
 
     /// Index of a recording with this hash among those of the fit, or one beyond the last.

@@ -147,7 +147,7 @@ impl Workbench {
         let provenance = Provenance::of(&campaign, alignment.delay_us, options)?;
         let file = ModelFile::with_effects(&campaign, &setup, &fit, &[], provenance);
         let (testable, untestable) = candidates(&campaign, Some(&file), &[], &[]);
-        let model = Model::base(BASE, file);
+        let model = Model::of(Path::new(BASE), file)?;
         let findings = merge(scanned.findings.clone(), model_findings(&reader, &model)?);
         if findings.iter().any(|finding| finding.stops) {
             return Ok(Err(findings));

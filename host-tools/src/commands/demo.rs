@@ -7,7 +7,7 @@ use analysis::comparison::compare;
 use analysis::diagnose::observer::Observer;
 use analysis::diagnose::{Diagnosis, Scope, diagnose};
 use analysis::edit_model::refit;
-use analysis::fit::{CampaignFit, fit_model};
+use analysis::fit::fit_model;
 use analysis::model::Model;
 use analysis::progress;
 use analysis::statistics::pooled_rms;
@@ -20,6 +20,7 @@ use model_export::inverse::build::{ModelVariant, build};
 use model_export::inverse::codegen::tables_source;
 use model_export::model_file::{BaseKind, EffectModel, ModelFile, TABLES_MARK};
 use model_export::output::write_output;
+use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
 use model_export::recordings::campaign::recording_folders;
 use model_export::recordings::units::round_significant;
@@ -80,6 +81,7 @@ pub fn run(args: &Args) -> Result<()> {
     let base = fit_model(folder, BaseKind::Cylinder, None, ALIGNMENT, options)?;
     print_notes(&base.notes);
     base.model.write(&model_path)?;
+    let base_model = Model::read(&model_path)?;
     let (campaign, model) = (&base.campaign, &base.model);
     let count = campaign.recordings.len();
     terminal::print(&terminal::paragraph(&format!(
@@ -105,15 +107,14 @@ pub fn run(args: &Args) -> Result<()> {
             text::export::format_tables(&built.chosen, &built.header),
         ))?;
     }
-    let diagnosis = diagnosed(&base, &model_path, options)?;
-    let models = add_effects(&base, &diagnosis, &args.output, options)?;
+    let diagnosis = diagnosed(campaign, &base_model, options)?;
+    let models = add_effects(campaign, &base_model, &diagnosis, &args.output, options)?;
     let last = models.last().map_or(&model_path, |(_, path)| path);
-    let of_base = Model::read(&model_path)?;
     let comparison = match models.last() {
         Some((_, path)) => {
-            compare(&Model::read(path)?, folder, Some(&of_base), ALIGNMENT, options)?
+            compare(&Model::read(path)?, folder, Some(&base_model), ALIGNMENT, options)?
         }
-        None => compare(&of_base, folder, None, ALIGNMENT, options)?,
+        None => compare(&base_model, folder, None, ALIGNMENT, options)?,
     };
     print_notes(&comparison.notes);
     let of_base = comparison.other.as_deref().unwrap_or(&comparison);
@@ -183,12 +184,11 @@ fn closing(output: &Path) -> String {
 }
 
 /// Diagnoses the base model.
-fn diagnosed(base: &CampaignFit, model_path: &Path, options: FitOptions) -> Result<Diagnosis> {
+fn diagnosed(campaign: &Campaign, base: &Model, options: FitOptions) -> Result<Diagnosis> {
     let bar = progress::Stages::new();
     let observer = Observer::new(|stage, share| bar.set(stage, share), |_| (), || false);
-    let campaign = (&base.campaign, ALIGNMENT);
-    let model = Model::base(model_path, base.model.clone());
-    let (diagnosis, _) = diagnose(campaign, &model, &[], Scope::CATALOGUE, options, &observer)?;
+    let campaign = (campaign, ALIGNMENT);
+    let (diagnosis, _) = diagnose(campaign, base, &[], Scope::CATALOGUE, options, &observer)?;
     drop(observer);
     bar.finish();
     Ok(diagnosis)
@@ -234,18 +234,17 @@ fn nonlinear_values(formula: &EffectModel) -> String {
 
 /// Adds the accepted effects one by one; returns what was added and the file of each model.
 fn add_effects(
-    base: &CampaignFit,
+    campaign: &Campaign,
+    base: &Model,
     diagnosis: &Diagnosis,
     output: &Path,
     options: FitOptions,
 ) -> Result<Vec<(String, PathBuf)>> {
     let mut models = Vec::new();
-    let model = Model::base("base", base.model.clone());
     let mut added: Vec<EffectTerm> = Vec::new();
     for (i, (name, terms)) in diagnosis.accepted_steps()?.into_iter().enumerate() {
         added.extend(terms);
-        let campaign = base.campaign.clone();
-        let edit = refit(campaign, &model, added.clone(), ALIGNMENT, options)?;
+        let edit = refit(campaign.clone(), base, added.clone(), ALIGNMENT, options)?;
         print_notes(&edit.notes);
         let path = output.join(format!("better-{}.toml", i + 1));
         edit.model.write(&path)?;

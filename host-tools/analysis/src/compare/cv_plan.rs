@@ -5,13 +5,12 @@ use crate::compare::Validation;
 use crate::compare::campaign_reader::{CampaignReader, RecordingId};
 use crate::model::Model;
 use crate::progress;
-use crate::replay::corrections::SensorCorrections;
 use anyhow::Result;
-use model_export::effects::{EffectTerm, ExcitationSeries};
+use model_export::effects::EffectTerm;
 use model_export::fit::campaign::FitSetup;
 use model_export::fit::joint::JointFit;
 use model_export::fit::{FitError, FitOptions};
-use model_export::model_file::{ModelFile, Provenance, RowCorrection};
+use model_export::model_file::{ModelFile, Provenance};
 use model_export::recordings::Campaign;
 use std::path::Path;
 
@@ -39,42 +38,10 @@ pub struct CvPlan {
     pub is_of_known_fit: bool,
 }
 
-impl RecordingId {
-    /// What separates the recording from the conditions of a model's tables, by sensor. `excitation` is that of each sensor,
-    /// `clock_s` its first row on the board's clock.
-    pub fn corrections(
-        &self,
-        model: &Model,
-        excitation: &[(u32, ExcitationSeries)],
-        clock_s: f64,
-    ) -> Vec<SensorCorrections> {
-        let place = model.place_of(&self.sha256);
-        let is_new = place == model.file.provenance.recordings.len();
-        let of_sensor = |(sensor, series): &(u32, ExcitationSeries)| {
-            let series = ExcitationSeries { recording: place, ..series.clone() };
-            let predictor = model.file.predictor(*sensor, &model.effects)?;
-            let own = model.file.sensors.iter().find(|own| own.number == *sensor)?;
-            // Readings are in the sensor's axes.
-            let turned = |row: RowCorrection| RowCorrection {
-                reading: (row.reading.0, own.orientation.to_sensor(row.reading.1)),
-                irreducible_g: own.orientation.to_sensor(row.irreducible_g),
-                ..row
-            };
-            let rows = predictor.corrections(&series, is_new)?;
-            Some(SensorCorrections {
-                sensor: *sensor,
-                rows: rows.into_iter().map(turned).collect(),
-                time_s: series.time_s.iter().map(|time_s| time_s + clock_s).collect(),
-            })
-        };
-        excitation.iter().filter_map(of_sensor).collect()
-    }
-}
-
 impl CvPlan {
     /// Plans the cross-validation of `source`, with new fits if the model was fitted to any of it. `refit` is the fit to all
-    /// recordings, if known. The folds are those that a model with the effects
-    /// `compared` needs too, so that the errors of both are of the same rows.
+    /// recordings, if known. The folds are those that a model with the effects `compared` needs too, so that the errors of both are
+    /// of the same rows.
     ///
     /// # Errors
     /// A recording cannot be read.

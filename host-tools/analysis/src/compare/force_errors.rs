@@ -5,7 +5,9 @@
 //! that the gripper had at its time; rows in which the device itself detects an event of the model are counted apart; what no
 //! model of the device could remove is not part of the excess.
 
-use crate::compare::campaign_excitation::{CampaignExcitation, RecordingExcitation};
+use crate::compare::campaign_excitation::{
+    CampaignExcitation, RecordingExcitation, recording_corrections,
+};
 use crate::compare::cv_plan::{CvPlan, RecordingFolds};
 use crate::compare::{Envelope, ErrorRows, FlaggedRows, ForceAxisErrors, ForceError, Histogram};
 use crate::model::Model;
@@ -441,7 +443,7 @@ impl FoldReplay<'_> {
             return Vec::new();
         };
         let clock_s = origin_s + 1e-6 * self.alignment.delay_us;
-        let mut corrections = planned.named.corrections(model, excitation, clock_s);
+        let mut corrections = recording_corrections(&planned.named, model, excitation, clock_s);
         if let Some(offsets) = self.offsets {
             add_offsets(&mut corrections, offsets);
         }

@@ -21,7 +21,7 @@ use model_export::recordings::recording::recording_name;
 use model_export::recordings::stream::RawStream;
 use rayon::prelude::*;
 
-use crate::compare::campaign_excitation::CampaignExcitation;
+use crate::compare::campaign_excitation::{CampaignExcitation, recording_corrections};
 use crate::compare::campaign_reader::{Caching, CampaignReader, check_sensor_scale};
 use crate::compare::{EffectOrigin, ErrorRows, FlaggedRows, ForceError};
 use crate::model::Model;
@@ -88,8 +88,7 @@ pub fn evaluate(
     for (linear, fitted) in linear.sensors.iter_mut().zip(&fitted.tables.sensors) {
         linear.axes = fitted.axes;
     }
-    let model =
-        Model { effects: file.effect_terms(model)?, path: model.to_path_buf(), file: file.clone() };
+    let model = Model::of(model, file.clone())?;
     let counts_events = model.has_origin(|origin| origin == ErrorOrigin::Event);
     let variant = |tables, float, compensations, networks| ReplayInput {
         models: ReplayModels {
@@ -215,7 +214,7 @@ fn corrections(
     alignment: Alignment,
 ) -> Result<HashMap<PathBuf, Vec<SensorCorrections>>> {
     let mut all = HashMap::new();
-    if !model.has_origin(|origin| origin != ErrorOrigin::Compensated) {
+    if !model.needs_corrections() {
         return Ok(all);
     }
     let source = CampaignReader::open(campaign, alignment, Caching::IfFew)?;
@@ -224,7 +223,7 @@ fn corrections(
         let excitation = excitation.next(place, |place| source.read(place))?;
         let first_s = source.read(place)?.time_s.first().copied().unwrap_or(0.0);
         let clock_s = first_s + 1e-6 * alignment.delay_us;
-        let of_sensors = named.corrections(model, &excitation, clock_s);
+        let of_sensors = recording_corrections(named, model, &excitation, clock_s);
         all.insert(named.folder.clone(), of_sensors);
     }
     Ok(all)

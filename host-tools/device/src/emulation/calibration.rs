@@ -134,7 +134,7 @@ pub fn identify(
     let fit = fit_model(&campaign, BaseKind::Cylinder, None, ALIGNED, options)?;
     fit.model.write(&plain)?;
     let recordings = read_campaign(&campaign, ALIGNED)?;
-    let model = Model::base(&plain, fit.model);
+    let model = Model::of(&plain, fit.model)?;
     let (diagnosis, _) = diagnose(
         (&recordings, ALIGNED),
         &model,
