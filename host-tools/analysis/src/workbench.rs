@@ -21,7 +21,7 @@ use serde::Deserialize;
 use crate::compare::campaign_reader::{Caching, CampaignReader, ScannedCampaign};
 use crate::compare::checked_campaign::model_findings;
 use crate::compare::covariates::{Covariate, all_covariates};
-use crate::compare::pipeline::{KnownFit, evaluate};
+use crate::compare::pipeline::evaluate;
 use crate::compare::{Comparison, ForceError};
 use crate::data_quality::{Finding, merge};
 use crate::diagnose::candidates::{UntestableEffect, candidates, screen};
@@ -236,7 +236,8 @@ impl Workbench {
         let comparison = evaluate(
             &model,
             &self.reader,
-            Some(KnownFit { setup: &self.setup, fit: &stage.fit, forces: None }),
+            Some((&self.setup, &stage.fit)),
+            None,
             compared,
             (&findings, self.options),
             &mut notes,

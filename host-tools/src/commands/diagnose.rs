@@ -121,7 +121,7 @@ pub fn run(args: &Args) -> Result<()> {
     }
     if common.output.is_some() {
         checked.findings.clone_from(&diagnosis.findings);
-        let comparison = compare_checked(&model, None, &checked, refit.as_ref(), options)?;
+        let comparison = compare_checked(&model, None, &checked, refit, options)?;
         print_notes(&comparison.notes);
         common.write_report(&comparison, &report::html::diagnosis::sections(&diagnosis))?;
     }

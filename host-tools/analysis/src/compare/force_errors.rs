@@ -47,7 +47,6 @@ const DISPLAYED: f64 = 0.998;
 const POINTS: usize = 200_000;
 
 /// One sensor over one recording: lateral and longitudinal force in newtons, each reference and device.
-#[derive(Clone)]
 pub struct ForceTrace {
     pub recording: String,
     pub sensor: u32,
@@ -55,7 +54,7 @@ pub struct ForceTrace {
 }
 
 /// Errors of all forces.
-#[derive(Clone, Default)]
+#[derive(Default)]
 pub struct ForceEvaluation {
     /// By sensor, lateral then longitudinal.
     pub errors: Vec<ForceAxisErrors>,

@@ -41,21 +41,6 @@ pub struct ModelRefit {
     pub forces: Option<ForceEvaluation>,
 }
 
-impl ModelRefit {
-    /// The fit for [`evaluate`].
-    fn known(&self) -> KnownFit<'_> {
-        KnownFit { setup: &self.setup, fit: &self.fit, forces: self.forces.as_ref() }
-    }
-}
-
-/// See [`ModelRefit`].
-#[derive(Clone, Copy)]
-pub(crate) struct KnownFit<'a> {
-    pub setup: &'a FitSetup,
-    pub fit: &'a JointFit,
-    pub forces: Option<&'a ForceEvaluation>,
-}
-
 /// Compares a model, and a baseline on the same rows, with a campaign. `refit` is a fit of the model to all of its recordings, if
 /// known.
 ///
@@ -65,7 +50,7 @@ pub fn compare_checked(
     model: &Model,
     baseline: Option<&Model>,
     checked: &CheckedCampaign,
-    refit: Option<&ModelRefit>,
+    mut refit: Option<ModelRefit>,
     options: FitOptions,
 ) -> Result<Comparison> {
     let Some(source) = checked.distinct()? else {
@@ -77,12 +62,13 @@ pub fn compare_checked(
         });
     };
     collect(|notes| {
-        let refit = refit.map(ModelRefit::known);
+        let forces = refit.as_mut().and_then(|refit| refit.forces.take());
+        let fit = refit.as_ref().map(|refit| (&refit.setup, &refit.fit));
         let of_baseline = baseline.map_or(&[][..], |baseline| &baseline.effects[..]);
         let how = (&checked.findings[..], options);
-        let mut comparison = evaluate(model, source, refit, of_baseline, how, notes)?;
+        let mut comparison = evaluate(model, source, fit, forces, of_baseline, how, notes)?;
         if let Some(baseline) = baseline {
-            let evaluated = evaluate(baseline, source, None, &model.effects, how, notes)?;
+            let evaluated = evaluate(baseline, source, None, None, &model.effects, how, notes)?;
             comparison.other = Some(Box::new(evaluated));
         }
         comparison.findings.clone_from(&checked.findings);
@@ -91,15 +77,16 @@ pub fn compare_checked(
     })
 }
 
-/// Evaluates one model on checked recordings. `refit` is a fit of it to all of them, if known; `compared` are the effects of the
-/// model that it is compared with ([`CvPlan::new`]).
+/// Evaluates one model on checked recordings. `fit` is a fit of it to all of them and `forces` its held-out errors, if known;
+/// `compared` are the effects of the model that it is compared with ([`CvPlan::new`]).
 ///
 /// # Errors
 /// A recording cannot be read, or model and recordings do not match.
 pub(crate) fn evaluate(
     model: &Model,
     source: &CampaignReader,
-    refit: Option<KnownFit>,
+    fit: Option<(&FitSetup, &JointFit)>,
+    forces: Option<ForceEvaluation>,
     compared: &[EffectTerm],
     (findings, options): (&[Finding], FitOptions),
     notes: &mut Vec<Note>,
@@ -109,7 +96,6 @@ pub(crate) fn evaluate(
     if fitted_ms != delay_ms {
         notes.push(Note::ComparisonDelay { model: path.clone(), fitted_ms, delay_ms });
     }
-    let fit = refit.map(|refit| (refit.setup, refit.fit));
     let plan = CvPlan::new(model, source, fit, compared, options)?;
     let mut fields = evaluate_fields(&plan, source, notes)?;
     // A finding covers its column in all recordings; notices of that column are not repeated.
@@ -121,11 +107,11 @@ pub(crate) fn evaluate(
     };
     let unreported = fields.notices.iter().filter(|notice| !is_reported(&notice.location));
     notes.extend(unreported.cloned().map(Note::Recording));
-    let known = refit.and_then(|refit| refit.forces).filter(|forces| {
+    let known = forces.filter(|forces| {
         plan.is_of_known_fit && file.inverse.is_none_or(|shape| forces.shape == Some(shape))
     });
     let device = match known {
-        Some(forces) => forces.clone(),
+        Some(forces) => forces,
         None => {
             let recordings = Recordings {
                 alignment: source.alignment,
@@ -136,7 +122,7 @@ pub(crate) fn evaluate(
             evaluate_forces(&plan, recordings, fields.traces.len())?
         }
     };
-    add_forces(&mut fields.traces, &device.traces);
+    add_forces(&mut fields.traces, device.traces);
     let columns: Vec<ResidualTable> = fields
         .sensors
         .iter_mut()
@@ -186,11 +172,11 @@ pub(crate) fn evaluate(
 }
 
 /// Adds the forces over time to the fields of the same sensor and recording.
-fn add_forces(traces: &mut [Trace], forces: &[ForceTrace]) {
+fn add_forces(traces: &mut [Trace], forces: Vec<ForceTrace>) {
     for of in forces {
         let is_same = |one: &&mut Trace| one.recording == of.recording && one.sensor == of.sensor;
         if let Some(trace) = traces.iter_mut().find(is_same) {
-            trace.force.clone_from(&of.force);
+            trace.force = of.force;
         }
     }
 }
