@@ -18,14 +18,13 @@ pub fn campaign_findings(campaign: &Campaign) -> Vec<Finding> {
         stops: false,
         fix: None,
     };
-    let recordings = |places: &[usize]| RecordingSet {
-        names: places.iter().map(|&place| campaign.recordings[place].name.clone()).collect(),
-        is_all: places.len() == campaign.recordings.len(),
+    let recordings = |places: Vec<usize>| {
+        RecordingSet::of(places, campaign.recordings.iter().map(|recording| &recording.name))
     };
     let dependent = dependences(campaign).into_iter().map(|one| {
         let evidence = Evidence::DependentRecordings {
             kind: one.kind,
-            recordings: recordings(&one.recordings),
+            recordings: recordings(one.recordings),
             share: one.share,
         };
         of("dependent_recordings", evidence)
@@ -34,7 +33,7 @@ pub fn campaign_findings(campaign: &Campaign) -> Vec<Finding> {
         .filter(|&place| campaign.recordings[place].noise.order == RowOrder::Shuffled)
         .collect();
     let shuffled = (!shuffled.is_empty())
-        .then(|| of("row_order", Evidence::ShuffledRows { recordings: recordings(&shuffled) }));
+        .then(|| of("row_order", Evidence::ShuffledRows { recordings: recordings(shuffled) }));
     let noise = NoiseSummary::of(campaign.recordings.iter().map(|recording| &recording.noise));
     let noise = noise.disagreement.map(|one| of("noise_floor", Evidence::NoiseDisagreement(one)));
     dependent.chain(shuffled).chain(noise).collect()

@@ -59,14 +59,14 @@ pub fn offsets<'a>(residuals: &ModelResiduals<'a>) -> Vec<Found<'a>> {
 
 fn describe<'a>(residuals: &ModelResiduals<'a>, group: &[Shift]) -> Found<'a> {
     let campaign = residuals.campaign;
-    let whole = group.len() == campaign.recordings.len();
     let mean_ms = group.iter().map(|shift| shift.ms).sum::<f64>() / group.len() as f64;
     let fall = group.iter().map(|shift| shift.fall).fold(1.0, f64::min);
     let place = Location::file(&residuals.names.force(group[0].recording)).column("t_us");
-    let names = group.iter().map(|shift| campaign.recordings[shift.recording].name.clone());
+    let hit = group.iter().map(|shift| shift.recording);
+    let names = campaign.recordings.iter().map(|recording| &recording.name);
     let evidence = Evidence::ClockLag {
         lag_ms: mean_ms,
-        recordings: RecordingSet { names: names.collect(), is_all: whole },
+        recordings: RecordingSet::of(hit, names),
         sensors: group[0].sensors,
         share: fall,
         delay_ms: mean_ms + residuals.alignment.delay_us / 1e3,
