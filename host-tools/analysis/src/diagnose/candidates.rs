@@ -2,7 +2,7 @@
 //! bootstrap.
 
 use crate::diagnose::fitted_model::MIN_GAIN;
-use crate::diagnose::verdict::{AssumedTimes, Reason, Verdict, record_of};
+use crate::diagnose::verdict::{AssumedTimes, Reason, Verdict, VerdictKind, record_of};
 use crate::statistics::mean_and_std;
 use model_export::effects::excitation::{BUILT_IN_COVARIATES, OPENING_RATE, source_column};
 use model_export::effects::{CATALOGUE, EffectTerm};
@@ -30,7 +30,8 @@ impl UntestableEffect {
     /// The verdict that these recordings cannot test it.
     pub fn verdict(&self) -> Verdict {
         let record = self.record.clone();
-        Verdict { record, ..Verdict::inconclusive(&self.effect, self.reason.clone()) }
+        let kind = VerdictKind::Inconclusive;
+        Verdict { record, ..Verdict::new(&self.effect, kind, self.reason.clone()) }
     }
 }
 

@@ -14,7 +14,7 @@ use model_export::fit::effect_size::{EffectSize, effect_sizes};
 pub fn conclude(
     selection: &Selection,
     formulas: &[DiscoveredFormula],
-    unjudged: &[UntestableEffect],
+    untestable: &[UntestableEffect],
     recordings: usize,
 ) -> Diagnosis {
     let Some(last) = selection.stages.last() else {
@@ -77,7 +77,7 @@ pub fn conclude(
     for verdict in &mut diagnosis.verdicts {
         verdict.reproduces = selection.similarity.reproduced_by(&verdict.effect);
     }
-    diagnosis.verdicts.extend(unjudged.iter().map(UntestableEffect::verdict));
+    diagnosis.verdicts.extend(untestable.iter().map(UntestableEffect::verdict));
     diagnosis.sort_verdicts();
     diagnosis
 }
@@ -110,10 +110,9 @@ fn of_step(
     let size = last.effects.iter().position(|effect| *effect == step.chosen).map(|i| &found[i]);
     let all = names(step);
     let base = |effect: &EffectTerm, kind: VerdictKind| Verdict {
-        kind,
         provisional: !complete,
         unit: effect.size_unit().into_owned(),
-        ..Verdict::inconclusive(effect.name(), Reason::ReducesError)
+        ..Verdict::new(effect.name(), kind, Reason::ReducesError)
     };
     let mut verdicts = Vec::new();
     let is_tied = !step.tied.is_empty();
@@ -157,7 +156,7 @@ fn unconfirmed(effect: &EffectTerm, step: &AcceptedStep, complete: bool) -> Verd
         inclusion: step.inclusion,
         z_typical: step.z_typical,
         record: record_of(effect),
-        ..Verdict::inconclusive(effect.name(), Reason::Unconfirmed)
+        ..Verdict::new(effect.name(), VerdictKind::Inconclusive, Reason::Unconfirmed)
     }
 }
 
@@ -169,12 +168,12 @@ fn of_rest(
 ) -> Verdict {
     let effect = &screened.candidate;
     let evidence = &screened.evidence;
-    let of = |reason: Reason| Verdict {
+    let of = |kind: VerdictKind, reason: Reason| Verdict {
         provisional: !complete,
         p_adjusted: screened.p_adjusted,
         inclusion: screened.inclusion,
         z_typical: evidence.z_typical,
-        ..Verdict::inconclusive(effect.name(), reason)
+        ..Verdict::new(effect.name(), kind, reason)
     };
     let (kind, reason) = if !complete {
         (VerdictKind::Inconclusive, Reason::UnexplainedResidual(unexplained.first().cloned()))
@@ -196,15 +195,14 @@ fn of_rest(
             std_error: *std_error,
             unit: unit.to_string(),
             implausible: (!fit.size.is_plausible()).then_some(size.plausible),
-            ..of(Reason::Implausible)
+            ..of(VerdictKind::Inconclusive, Reason::Implausible)
         };
     }
     Verdict {
-        kind,
         gain: evidence.gain(),
         unit: effect.size_unit().into_owned(),
         record: if kind == VerdictKind::Absent { String::new() } else { record_of(effect) },
-        ..of(reason)
+        ..of(kind, reason)
     }
 }
 

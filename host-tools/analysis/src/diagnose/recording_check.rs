@@ -4,7 +4,7 @@
 use crate::diagnose::candidates::{UntestableEffect, candidates, insufficient};
 use crate::diagnose::fitted_model::FittedModel;
 use crate::diagnose::residuals::{block_s, residual_tables};
-use crate::diagnose::verdict::{Reason, Verdict, record_of};
+use crate::diagnose::verdict::{Reason, Verdict, VerdictKind, record_of};
 use anyhow::Result;
 use model_export::effects::EffectTerm;
 use model_export::fit::FitOptions;
@@ -52,7 +52,7 @@ pub fn check_recordings(campaign: &Campaign, options: FitOptions) -> RecordingCh
             None => check.decidable.push((effect.name().to_owned(), z_typical)),
             Some(reason) => {
                 let record = record_of(effect);
-                let open = Verdict::inconclusive(effect.name(), reason);
+                let open = Verdict::new(effect.name(), VerdictKind::Inconclusive, reason);
                 check.inconclusive.push(Verdict { z_typical, record, ..open });
             }
         }

@@ -156,11 +156,11 @@ pub struct Verdict {
 }
 
 impl Verdict {
-    /// Of an effect on which these recordings do not decide, without estimates.
-    pub fn inconclusive(effect: &str, reason: Reason) -> Self {
+    /// Of an effect, without estimates.
+    pub fn new(effect: &str, kind: VerdictKind, reason: Reason) -> Self {
         Self {
             effect: effect.to_owned(),
-            kind: VerdictKind::Inconclusive,
+            kind,
             provisional: false,
             tied_with: Vec::new(),
             reproduces: Vec::new(),
