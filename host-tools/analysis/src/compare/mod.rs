@@ -4,11 +4,12 @@
 //!
 //! - [`pipeline`]: from model and campaign to a [`Comparison`].
 //! - [`campaign_reader`]: recordings, cached or streamed. [`checked_campaign`]: with their setup errors.
-//! - [`cv_plan`]: cross-validation, so that no row is predicted by a model fitted to it.
-//! - [`field_errors`], [`force_errors`]: errors of the field, and of the forces through the device's code.
-//! - [`covariates`], [`residual_table`]: residuals with everything they may depend on.
-//! - [`attribution`], [`bootstrap_bands`]: which covariates explain the residual.
-//! - [`pure_error`]: scatter between repeated conditions, and drift at rest.
+//! - `campaign_excitation`: excitation of the sensors, by which recordings are corrected for the effects of a model.
+//! - `cv_plan`: cross-validation, so that no row is predicted by a model fitted to it.
+//! - `field_errors`, `force_errors`: errors of the field, and of the forces through the device's code.
+//! - [`covariates`], `residual_table`: residuals with everything they may depend on.
+//! - [`attribution`], `bootstrap_bands`: which covariates explain the residual.
+//! - `pure_error`: scatter between repeated conditions, and drift at rest.
 
 use std::borrow::Cow;
 
@@ -24,17 +25,17 @@ use serde::Serialize;
 use serde::ser::{SerializeStruct, Serializer};
 
 pub mod attribution;
-pub mod bootstrap_bands;
-pub mod campaign_excitation;
+pub(crate) mod bootstrap_bands;
+pub(crate) mod campaign_excitation;
 pub mod campaign_reader;
 pub mod checked_campaign;
 pub mod covariates;
-pub mod cv_plan;
-pub mod field_errors;
-pub mod force_errors;
+mod cv_plan;
+mod field_errors;
+pub(crate) mod force_errors;
 pub mod pipeline;
-pub mod pure_error;
-pub mod residual_table;
+mod pure_error;
+pub(crate) mod residual_table;
 
 /// Residuals up to this factor times the floor are indistinguishable from noise.
 pub const AT_FLOOR: f64 = 1.15;

@@ -112,7 +112,7 @@ fn align_validation(
 ///
 /// # Errors
 /// A fit fails.
-pub fn eliminate_backward(
+fn eliminate_backward(
     prepared: &FitSetup,
     selection: &mut Selection,
     options: FitOptions,
