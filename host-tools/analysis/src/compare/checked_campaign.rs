@@ -19,7 +19,7 @@ use crate::model::Model;
 use crate::notes::Note;
 use crate::progress;
 
-/// A campaign after all checks.
+/// A campaign after the checks of its files and against a model.
 pub struct CheckedCampaign {
     /// The campaign's folder.
     pub folder: PathBuf,

@@ -48,12 +48,12 @@ pub fn write(
     let folders = recording_folders(campaign)?;
     let unwritable = || format!("{}: cannot be written", to.display());
     let draft = StagingDir::new(to, "fix")?;
-    let mut said = Vec::new();
+    let mut corrections = Vec::new();
     for folder in &folders {
         let inside = folder.strip_prefix(campaign).unwrap_or(Path::new(""));
         let target = draft.path().join(inside);
         fs::create_dir_all(&target).with_context(unwritable)?;
-        said.extend(recording(folder, &target, &repairs)?);
+        corrections.extend(recording(folder, &target, &repairs)?);
     }
     if folders.iter().all(|folder| folder != campaign) {
         copy_files(campaign, draft.path())?;
@@ -69,7 +69,7 @@ pub fn write(
         );
     }
     draft.commit(to)?;
-    Ok(said)
+    Ok(corrections)
 }
 
 /// Identifier and place of a finding, relative to `folder`.
@@ -81,7 +81,7 @@ fn describe(finding: &Finding, folder: &Path) -> String {
 
 /// Writes one recording; returns its corrections.
 fn recording(folder: &Path, target: &Path, repairs: &[&Repair]) -> Result<Vec<String>> {
-    let mut said = Vec::new();
+    let mut corrections = Vec::new();
     for path in files_of(folder)? {
         let name = path.file_name().unwrap_or_default();
         let changes: Vec<&Change> = repairs
@@ -96,14 +96,14 @@ fn recording(folder: &Path, target: &Path, repairs: &[&Repair]) -> Result<Vec<St
         let done = rewrite(&path, &target.join(name), &changes)
             .with_context(|| format!("{}", path.display()))?;
         let name = name.to_string_lossy();
-        said.extend(done.into_iter().map(|done| format!("{name}: {done}")));
+        corrections.extend(done.into_iter().map(|done| format!("{name}: {done}")));
     }
-    if !said.is_empty() && folder.join(RECORDING_FILE).is_file() {
-        extend_description(&target.join(RECORDING_FILE), &said)?;
+    if !corrections.is_empty() && folder.join(RECORDING_FILE).is_file() {
+        extend_description(&target.join(RECORDING_FILE), &corrections)?;
     }
     let recording =
         folder.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
-    Ok(said.into_iter().map(|done| format!("recording {recording}, {done}")).collect())
+    Ok(corrections.into_iter().map(|done| format!("recording {recording}, {done}")).collect())
 }
 
 fn copy_files(from: &Path, to: &Path) -> Result<()> {

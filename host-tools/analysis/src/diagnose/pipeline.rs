@@ -329,8 +329,8 @@ impl<'a> Search<'a> {
     }
 }
 
-/// Effects were sought on the recordings with the differences of a place that does not explain all: those that explain more are the
-/// likelier cause.
+/// Removes findings of a magnet's place that leave more than the effects do. Such a place does not explain all, so the effects were
+/// sought on recordings that still contain it.
 fn retain_likely(diagnosis: &mut Diagnosis, last: Option<&FittedModel>) {
     diagnosis.findings.retain(|finding| match &finding.evidence {
         Evidence::RecordingDifference { cause: DifferenceCause::MagnetPlace, floors, .. }

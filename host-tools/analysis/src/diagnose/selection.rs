@@ -198,8 +198,8 @@ impl Selection {
     }
 
     /// After a refit: removes the last formulas and steps that do not reduce the error of all rows in every fold, formulas by
-    /// [`MIN_KEPT`], or that leave one as large as without any, and sets the gains of the others to those on all rows. An earlier step may raise the error
-    /// that a later one then lowers. Of the two effects of a pair the gain is that of both.
+    /// [`MIN_KEPT`], or that leave one as large as without any, and sets the gains of the others to those on all rows. An earlier
+    /// step may raise the error that a later one then lowers. Of the two effects of a pair the gain is that of both.
     pub fn confirm(&mut self, formulas: &mut Vec<DiscoveredFormula>) {
         self.confirm_last(formulas);
         while formulas.is_empty()

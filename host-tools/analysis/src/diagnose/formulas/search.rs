@@ -28,7 +28,7 @@ const AT_NOISE: f64 = 1.03;
 /// Points of the chain within this fraction in the linearised model are fitted fully.
 const NEAR_LINEAR: f64 = 0.2;
 /// Minimum reduction of the held-out squared error.
-const MIN_GAIN: f64 = 0.004;
+const MIN_FORMULA_GAIN: f64 = 0.004;
 /// Maximum family-wise p-value.
 const MAX_P: f64 = 0.01;
 /// Minimum fraction of the excess over the noise that all formulas explain together. Noise that wanders as slowly as a covariate
@@ -67,6 +67,7 @@ pub fn explains_most(model: &FittedModel, other: &FittedModel) -> bool {
         |model: &FittedModel| (model.mean_square() - model.fit.tally().floor_g().powi(2)).max(0.0);
     excess(model) <= (1.0 - MIN_EXPLAINED) * excess(other)
 }
+
 /// An accepted candidate.
 #[derive(Clone)]
 struct Accepted {
@@ -248,7 +249,7 @@ impl<'a> FormulaSearch<'a> {
         };
         let gain = 1.0 - score.held_out() / before.held_out();
         let improves = score.folds.iter().zip(&before.folds).all(|(new, old)| new < old);
-        if gain < MIN_GAIN || !improves {
+        if gain < MIN_FORMULA_GAIN || !improves {
             return Ok(Attempt::Rejected);
         }
         let p_value = terms.p_value(&self.columns(scan, &candidate), self.options.seed);
@@ -261,7 +262,7 @@ impl<'a> FormulaSearch<'a> {
         let Ok(next) = self.fitted(step.start, &all) else {
             return Ok(Attempt::Rejected);
         };
-        if next.gain(step.model) < MIN_GAIN || !next.improves(step.model) {
+        if next.gain(step.model) < MIN_FORMULA_GAIN || !next.improves(step.model) {
             return Ok(Attempt::Rejected);
         }
         if all.iter().all(|one| one.candidate.nonlinear().is_empty()) {
@@ -371,7 +372,7 @@ impl<'a> FormulaSearch<'a> {
     /// The candidate with its nonlinear parameters at the least squared error on the fitted rows.
     fn refined(&self, scan: &Scan, candidate: &Candidate) -> (Candidate, Score) {
         let score = |candidate: &Candidate| scan.score(&self.columns(scan, candidate));
-        let best = least(candidate, |candidate| score(candidate).fitted, MIN_DESCENT);
+        let best = minimise(candidate, |candidate| score(candidate).fitted, MIN_DESCENT);
         let score = score(&best);
         (best, score)
     }
@@ -387,7 +388,7 @@ impl<'a> FormulaSearch<'a> {
                 let columns = candidate.columns_of(sensor, self.setup, scan, points, windows);
                 scan.score_of(sensor, Some(&columns)).fitted
             };
-            let best = least(&shared.0, fitted, 0.0);
+            let best = minimise(&shared.0, fitted, 0.0);
             best.nonlinear().iter().map(|parameter| parameter.value).collect()
         };
         let own = (0..scan.rows.len()).into_par_iter().map(of_sensor).collect();
@@ -544,9 +545,13 @@ impl<'a> FormulaSearch<'a> {
 /// Reduction of the squared error by a pass over the nonlinear parameters, from which another one follows.
 const MIN_DESCENT: f64 = 0.01;
 
-/// The candidate with its nonlinear parameters at the least error: two passes over the parameters, the second one unless the first
-/// reduces the error by less than this fraction.
-fn least(candidate: &Candidate, error: impl Fn(&Candidate) -> f64, min_descent: f64) -> Candidate {
+/// Coordinate descent over the nonlinear parameters: two passes, the second one unless the first reduces the error by less than the
+/// fraction `min_descent`.
+fn minimise(
+    candidate: &Candidate,
+    error: impl Fn(&Candidate) -> f64,
+    min_descent: f64,
+) -> Candidate {
     let mut best = candidate.clone();
     let mut least = error(&best);
     for _ in 0..2 {
