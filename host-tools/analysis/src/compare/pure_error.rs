@@ -3,7 +3,6 @@
 
 use crate::compare::covariates::CovariateKind;
 use crate::compare::residual_table::{CovariateColumn, ResidualTable};
-use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 use std::collections::HashMap;
 
 /// Cell size of a condition, in standard deviations of each covariate.
@@ -12,60 +11,16 @@ const CELL: f64 = 0.1;
 const MIN_INTERVAL_S: f64 = 1.0;
 /// Minimum degrees of freedom of the pure error.
 const MIN_FREEDOM: usize = 30;
-/// Significance level of the lack-of-fit test.
-const LEVEL: f64 = 0.05;
 
-/// Lack-of-fit F test: scatter within groups of the same condition (pure error) against the groups' means.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct LackOfFit {
-    /// Mean square within groups.
-    pub pure: f64,
-    /// Degrees of freedom within groups.
-    pub pure_freedom: usize,
-    /// Mean square of the lack of fit.
-    pub lack: f64,
-    /// Degrees of freedom of the lack of fit.
-    pub lack_freedom: usize,
-}
-
-impl LackOfFit {
-    /// Test of residuals by group, of a model with `parameters` fitted coefficients. `None` without repeated
-    /// conditions, or with no more groups than parameters.
-    pub fn of(groups: &[Vec<f64>], parameters: usize) -> Option<Self> {
-        let (mut within, mut between) = (0.0, 0.0);
-        let mut pure_freedom = 0;
-        let filled = groups.iter().filter(|group| !group.is_empty());
-        let count = filled.clone().count();
-        for group in filled {
-            let mean = group.iter().sum::<f64>() / group.len() as f64;
-            within += group.iter().map(|value| (value - mean).powi(2)).sum::<f64>();
-            between += group.len() as f64 * mean * mean;
-            pure_freedom += group.len() - 1;
-        }
-        let lack_freedom = count.checked_sub(parameters).filter(|freedom| *freedom > 0)?;
-        (pure_freedom > 0).then(|| Self {
-            pure: within / pure_freedom as f64,
-            pure_freedom,
-            lack: between / lack_freedom as f64,
-            lack_freedom,
-        })
+/// Mean square of the scatter within groups of the same condition, and its degrees of freedom.
+fn scatter_within(groups: &[Vec<f64>]) -> (f64, usize) {
+    let (mut within, mut freedom) = (0.0, 0);
+    for group in groups {
+        let mean = group.iter().sum::<f64>() / group.len() as f64;
+        within += group.iter().map(|value| (value - mean).powi(2)).sum::<f64>();
+        freedom += group.len().saturating_sub(1);
     }
-
-    /// F statistic.
-    pub fn f(&self) -> f64 {
-        self.lack / self.pure
-    }
-
-    /// p-value of the F statistic.
-    pub fn p_value(&self) -> f64 {
-        let (lack, pure) = (self.lack_freedom as f64, self.pure_freedom as f64);
-        FisherSnedecor::new(lack, pure).map_or(f64::NAN, |f| f.sf(self.f()))
-    }
-
-    /// True if the residual exceeds the scatter of replicates significantly: structure remains.
-    pub fn is_significant(&self) -> bool {
-        self.p_value() < LEVEL
-    }
+    (within / freedom as f64, freedom)
 }
 
 /// Standard deviation between visits of the same condition by axis, in gauss; `None` with too few repeated
@@ -94,8 +49,8 @@ pub fn pure_error(sensor: &ResidualTable) -> Option<[f64; 3]> {
         let residual = |row: &usize| sensor.residual[*row][axis];
         let groups: Vec<Vec<f64>> =
             cells.values().map(|visits| visits.iter().map(residual).collect()).collect();
-        let split = LackOfFit::of(&groups, 0)?;
-        (split.pure_freedom >= MIN_FREEDOM).then(|| split.pure.sqrt())
+        let (square, freedom) = scatter_within(&groups);
+        (freedom >= MIN_FREEDOM).then(|| square.sqrt())
     });
     Some([found[0]?, found[1]?, found[2]?])
 }
@@ -233,8 +188,8 @@ mod tests {
         (3.0, 2.16829),
     ];
 
-    /// A polynomial of the load fitted by the project's own base, and its residuals by load.
-    fn fitted(degree: usize) -> (Polynomial, Vec<Vec<f64>>) {
+    /// A parabola of the load fitted by the project's own base.
+    fn fitted() -> Polynomial {
         let part = RecordingRows {
             time_s: (0..40).map(f64::from).collect(),
             force_n: PONTIUS.iter().map(|(load, _)| vec![*load]).collect(),
@@ -253,16 +208,7 @@ mod tests {
             stride: 1,
             blocks: None,
         };
-        let model = polynomial::fit(&rows, Some(degree), FitOptions::default()).unwrap().model;
-        let mut groups: Vec<(f64, Vec<f64>)> = Vec::new();
-        for (load, y) in PONTIUS {
-            let residual = y - field_x(&model, load);
-            match groups.iter_mut().find(|(known, _)| *known == load) {
-                Some((_, group)) => group.push(residual),
-                None => groups.push((load, vec![residual])),
-            }
-        }
-        (model, groups.into_iter().map(|(_, group)| group).collect())
+        polynomial::fit(&rows, Some(2), FitOptions::default()).unwrap().model
     }
 
     fn field_x(model: &Polynomial, load: f64) -> f64 {
@@ -270,20 +216,8 @@ mod tests {
     }
 
     #[test]
-    fn pontius_lacks_fit_with_a_line_and_not_with_a_parabola() {
-        // F in exact fractions 214.746924; the handbook prints 214.7464.
-        let cases = [(1, (18, 20), 214.746_924, 1e-6, true), (2, (17, 20), 0.81, 5e-3, false)];
-        for (degree, freedom, f, tolerance, significant) in cases {
-            let test = LackOfFit::of(&fitted(degree).1, degree + 1).unwrap();
-            assert_eq!((test.lack_freedom, test.pure_freedom), freedom);
-            assert!((test.f() - f).abs() < tolerance, "{}", test.f());
-            assert_eq!(test.is_significant(), significant);
-        }
-    }
-
-    #[test]
     fn quadratic_coefficients_match_the_certified_values() {
-        let model = fitted(2).0;
+        let model = fitted();
         let at = |load: f64| field_x(&model, load);
         // Newton's divided differences at three loads give the coefficients of powers.
         let (x0, x1, x2) = (0.15, 1.5, 3.0);
