@@ -94,24 +94,6 @@ impl ExcitationSeries {
         Self { smooth_n: pair(&x.0, &z.0), rate_n_per_s: pair(&x.1, &z.1), force_n, ..self.clone() }
     }
 
-    /// Increment by a linear operator of the smoothed force of one axis, row by row.
-    ///
-    /// A shift or filter reduces the contribution of a row's own noise. Added to the reading, it would average the
-    /// reference's noise and reduce the residual without physical cause; that part is subtracted.
-    pub(crate) fn operator_increment(
-        &self,
-        axis: usize,
-        operator: impl Fn(&[f64], &[f64], &[f64]) -> Vec<f64>,
-    ) -> Vec<f64> {
-        let column = |of: &[[f64; 2]]| -> Vec<f64> { of.iter().map(|pair| pair[axis]).collect() };
-        let (smooth, rate) = (column(&self.smooth_n), column(&self.rate_n_per_s));
-        let noise_gain = self.smoothing_impulse.noise_gain(&operator);
-        let changed = operator(&self.time_s, &smooth, &rate);
-        let readings = self.force_n.iter().map(|force| force[axis]);
-        let rows = changed.iter().zip(&smooth).zip(readings);
-        rows.map(|((after, before), read)| after - before - noise_gain * (read - before)).collect()
-    }
-
     /// The selected rows, in this order.
     pub fn at(&self, rows: &[usize]) -> Self {
         Self {
@@ -352,6 +334,16 @@ mod tests {
         assert_eq!(series[1].cycles[0][1], 0.0);
     }
 
+    type Operator<'a> = &'a dyn Fn(&[f64], &[f64], &[f64]) -> Vec<f64>;
+
+    /// Added to the lateral force.
+    fn added_by(excitation: &ExcitationSeries, operator: Operator) -> Vec<f64> {
+        let mut series = StateSeries::unloaded(excitation);
+        series.apply_operator(excitation, 0, operator);
+        let rows = series.force_n.iter().zip(&excitation.force_n);
+        rows.map(|(after, before)| after[0] - before[0]).collect()
+    }
+
     #[test]
     fn increment_excludes_the_noise_of_its_own_row() {
         // An error of 1 N in one row must not enter the increment of that row.
@@ -368,11 +360,11 @@ mod tests {
         for delay_s in [0.003, -0.003, 0.02] {
             let shift =
                 |t: &[f64], values: &[f64], rates: &[f64]| delayed(t, values, rates, delay_s);
-            let added = excitation.operator_increment(0, shift);
+            let added = added_by(&excitation, &shift);
             assert!(added[50].abs() < 1e-12, "{delay_s}: {}", added[50]);
             assert!(added[48].abs() > 1e-4, "{delay_s}: {}", added[48]);
         }
-        let late = excitation.operator_increment(0, |t, values, _| low_pass(t, values, 0.03));
+        let late = added_by(&excitation, &|t, values, _| low_pass(t, values, 0.03));
         assert!(late[50].abs() < 1e-12, "{}", late[50]);
     }
 }

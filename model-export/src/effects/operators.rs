@@ -2,19 +2,21 @@
 
 /// Stop operator (Prandtl element) with `threshold`, normalised to -1 to 1; initial state `start`.
 pub(crate) fn stop_operator(values: &[f64], threshold: f64, start: f64) -> Vec<f64> {
-    stop_operators(values, [(1.0, threshold)], start)
+    stop_operators(values, &[], [(1.0, threshold)], start)
 }
 
-/// Weighted sum of parallel stop operators (weight, threshold), in one pass.
+/// Weighted sum of parallel stop operators (weight, threshold), in one pass; `turns` as of [`turns_between`], empty
+/// where the values turn at rows.
 pub(crate) fn stop_operators<const N: usize>(
     values: &[f64],
+    turns: &[Option<f64>],
     elements: [(f64, f64); N],
     start: f64,
 ) -> Vec<f64> {
     let mut last = values.first().copied().unwrap_or(0.0);
     let mut states = elements.map(|(_, threshold)| start.clamp(-1.0, 1.0) * threshold);
     let gains = elements.map(|(weight, threshold)| weight / threshold);
-    let update = |&value: &f64| {
+    let mut advance = |value: f64| {
         let step = value - last;
         last = value;
         let mut sum = 0.0;
@@ -25,7 +27,34 @@ pub(crate) fn stop_operators<const N: usize>(
         }
         sum
     };
-    values.iter().map(update).collect()
+    let turns = turns.iter().copied().chain(std::iter::repeat(None));
+    let update = |(&value, turn): (&f64, Option<f64>)| {
+        if let Some(turn) = turn {
+            advance(turn);
+        }
+        advance(value)
+    };
+    values.iter().zip(turns).map(update).collect()
+}
+
+/// Extremum between each row and the one before it, where the sign of the rate changes: of the cubic with these values and
+/// rates at the rows. A load turns between the rows of a slow reference, and friction depends on where.
+pub(crate) fn turns_between(time_s: &[f64], values: &[f64], rates: &[f64]) -> Vec<Option<f64>> {
+    let turn = |row: usize| {
+        let before = row.checked_sub(1)?;
+        let step_s = time_s[row] - time_s[before];
+        let [from, to] = [rates[before] * step_s, rates[row] * step_s];
+        if from * to >= 0.0 {
+            return None;
+        }
+        let rise = values[row] - values[before];
+        // Derivative c + b u + a u^2 of the cubic, u from 0 to 1.
+        let [a, b, c] = [3.0 * (from + to) - 6.0 * rise, 6.0 * rise - 4.0 * from - 2.0 * to, from];
+        let q = -0.5 * (b + b.signum() * (b * b - 4.0 * a * c).max(0.0).sqrt());
+        let u = [q / a, c / q].into_iter().find(|u| (0.0..=1.0).contains(u))?;
+        Some(values[before] + u * (c + u * (0.5 * b + u * a / 3.0)))
+    };
+    (0..values.len()).map(turn).collect()
 }
 
 /// First-order low pass with time constant `tau_s`: exact for linear interpolation between the rows, in steady
@@ -144,6 +173,20 @@ mod tests {
             (stop_operator(&load, 2.0, 0.0), stop_operator(&load, 2.0, -1.0));
         assert_ne!(centred[1], saturated[1]);
         assert_eq!(centred[2..], saturated[2..]);
+    }
+
+    #[test]
+    fn a_load_turns_between_slow_rows() {
+        // 10 N at 0.5 s, between the rows.
+        let time_s = [0.2, 0.9, 1.0];
+        let values = time_s.map(|t: f64| 10.0 - 4.0 * (t - 0.5).powi(2));
+        let rates = time_s.map(|t| -8.0 * (t - 0.5));
+        let turns = turns_between(&time_s, &values, &rates);
+        assert_abs_diff_eq!(turns[1].unwrap(), 10.0, epsilon = 1e-12);
+        assert_eq!([turns[0], turns[2]], [None, None]);
+        // 9.64, 10.00, 9.36 N: of a reach of 0.5 N, from the middle 0.36 N up and 0.64 N down.
+        let found = stop_operators(&values, &turns, [(1.0, 0.5)], 0.0);
+        assert_abs_diff_eq!(found[1], (0.36 - 0.64) / 0.5, epsilon = 1e-12);
     }
 
     #[test]

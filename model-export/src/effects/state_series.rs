@@ -49,6 +49,8 @@ impl EffectStage {
 pub struct StateSeries {
     /// Force on each flexure in newtons; after [`EffectStage::Flexure`] the equivalent elastic force.
     pub force_n: Vec<[f64; 2]>,
+    /// Share of the reference's noise that effects have added to each force.
+    noise_gain: [f64; 2],
     /// Opening between the fingertips in mm; empty if not recorded.
     pub opening_mm: Vec<f64>,
     /// States; displacements are computed from the forces before [`EffectStage::Displacement`].
@@ -60,6 +62,7 @@ impl StateSeries {
     pub(super) fn unloaded(excitation: &ExcitationSeries) -> Self {
         Self {
             force_n: excitation.force_n.clone(),
+            noise_gain: [0.0; 2],
             opening_mm: excitation.covariates.get("opening_mm").cloned().unwrap_or_default(),
             states: Vec::new(),
         }
@@ -79,9 +82,58 @@ impl StateSeries {
     pub fn at(&self, rows: &[usize]) -> Self {
         Self {
             force_n: select_rows(&self.force_n, rows),
+            noise_gain: self.noise_gain,
             opening_mm: select_rows(&self.opening_mm, rows),
             states: select_rows(&self.states, rows),
         }
+    }
+
+    /// Force of one axis after the effects applied so far, without the reference's noise: in newtons, and its rate in N/s.
+    pub(crate) fn history(
+        &self,
+        excitation: &ExcitationSeries,
+        axis: usize,
+    ) -> (Vec<f64>, Vec<f64>) {
+        let column = |of: &[[f64; 2]]| -> Vec<f64> { of.iter().map(|pair| pair[axis]).collect() };
+        let (mut force, mut rates) =
+            (column(&excitation.smooth_n), column(&excitation.rate_n_per_s));
+        if self.force_n == excitation.force_n {
+            return (force, rates);
+        }
+        let rows = self.force_n.iter().zip(&excitation.force_n).zip(&force);
+        let added: Vec<f64> = rows
+            .map(|((after, read), smooth)| {
+                after[axis] - read[axis] - self.noise_gain[axis] * (read[axis] - smooth)
+            })
+            .collect();
+        let last = added.len().saturating_sub(1);
+        for (row, (force, rate)) in force.iter_mut().zip(&mut rates).enumerate() {
+            *force += added[row];
+            let (from, to) = (row.saturating_sub(1), (row + 1).min(last));
+            let interval_s = excitation.time_s[to] - excitation.time_s[from];
+            if interval_s > 0.0 {
+                *rate += (added[to] - added[from]) / interval_s;
+            }
+        }
+        (force, rates)
+    }
+
+    /// Replaces the force of one axis by a linear operator of its history, given times, values and rates.
+    ///
+    /// A shift or filter reduces the contribution of a row's own noise. Added to the reading, it would average the
+    /// reference's noise and reduce the residual without physical cause; that part is subtracted.
+    pub(crate) fn apply_operator(
+        &mut self,
+        excitation: &ExcitationSeries,
+        axis: usize,
+        operator: impl Fn(&[f64], &[f64], &[f64]) -> Vec<f64>,
+    ) {
+        let (before, rates) = self.history(excitation, axis);
+        let after = operator(&excitation.time_s, &before, &rates);
+        let gain = excitation.smoothing_impulse.noise_gain(&operator);
+        let noise = |row: usize| excitation.force_n[row][axis] - excitation.smooth_n[row][axis];
+        self.add_force(axis, |row| after[row] - before[row] - gain * noise(row));
+        self.noise_gain[axis] -= gain;
     }
 
     /// Adds `term(row)` to the force of one axis (0 lateral, 1 longitudinal).

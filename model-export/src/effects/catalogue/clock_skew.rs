@@ -47,16 +47,15 @@ pub const EFFECT: Effect = Effect {
     is_transient: false,
     has_memory: true,
     time: TimeDependence::Rows,
-    reads: &[],
+    reads: &[EffectStage::Reference],
     apply,
 };
 
 fn apply(values: &[f64], excitation: &ExcitationSeries, series: &mut StateSeries) {
     let &[skew_ms] = values else { return };
     for axis in 0..2 {
-        let shifted = excitation.operator_increment(axis, |time_s, force, rate| {
+        series.apply_operator(excitation, axis, |time_s, force, rate| {
             delayed(time_s, force, rate, 1e-3 * skew_ms)
         });
-        series.add_force(axis, |row| shifted[row]);
     }
 }

@@ -57,7 +57,7 @@ pub const EFFECT: Effect = Effect {
     is_transient: false,
     has_memory: true,
     time: TimeDependence::Rows,
-    reads: &[],
+    reads: EffectStage::FORCES,
     apply,
 };
 
@@ -67,8 +67,7 @@ fn apply(values: &[f64], excitation: &ExcitationSeries, series: &mut StateSeries
         if parts.iter().all(|(percent, _)| *percent == 0.0) {
             continue;
         }
-        let column = |of: &[[f64; 2]]| -> Vec<f64> { of.iter().map(|pair| pair[axis]).collect() };
-        let (force, rates) = (column(&excitation.smooth_n), column(&excitation.rate_n_per_s));
+        let (force, rates) = series.history(excitation, axis);
         for (percent, time_s) in parts {
             let delayed = low_pass_with_rates(&excitation.time_s, &force, &rates, time_s);
             series.add_force(axis, |row| 0.01 * percent * delayed[row]);

@@ -1,6 +1,6 @@
 //! Friction parallel to the flexure: rate-independent hysteresis.
 
-use crate::effects::operators::stop_operators;
+use crate::effects::operators::{stop_operators, turns_between};
 use crate::effects::{
     DeviceForm, Effect, EffectParameter, EffectStage, ExcitationSeries, ForceForm, FrictionSliders,
     MagnitudeSpec, Signature, SimulatedMagnitude, Simulation, StateSeries, TimeDependence,
@@ -68,7 +68,7 @@ pub const EFFECT: Effect = Effect {
     is_transient: false,
     has_memory: true,
     time: TimeDependence::None,
-    reads: &[],
+    reads: EffectStage::FORCES,
     apply,
 };
 
@@ -90,8 +90,9 @@ fn apply(values: &[f64], excitation: &ExcitationSeries, series: &mut StateSeries
         }
         let begin =
             beginnings.get(axis * recordings + excitation.recording).copied().unwrap_or(0.0);
-        let force: Vec<f64> = excitation.smooth_n.iter().map(|force| force[axis]).collect();
-        let normalised = stop_operators(&force, sliders(shapes), begin);
+        let (force, rates) = series.history(excitation, axis);
+        let turns = turns_between(&excitation.time_s, &force, &rates);
+        let normalised = stop_operators(&force, &turns, sliders(shapes), begin);
         series.add_force(axis, |row| -friction * normalised[row]);
     }
 }

@@ -47,7 +47,7 @@ pub const EFFECT: Effect = Effect {
     is_transient: false,
     has_memory: true,
     time: TimeDependence::Rows,
-    reads: &[],
+    reads: EffectStage::FORCES,
     apply,
 };
 
@@ -55,13 +55,13 @@ fn apply(values: &[f64], excitation: &ExcitationSeries, series: &mut StateSeries
     for (axis, &lag_ms) in values.iter().enumerate().take(2) {
         let lag_s = 1e-3 * lag_ms;
         if lag_s > 0.0 {
-            let late = excitation.operator_increment(axis, |time_s, force, rates| {
+            series.apply_operator(excitation, axis, |time_s, force, rates| {
                 low_pass_with_rates(time_s, force, rates, lag_s)
             });
-            series.add_force(axis, |row| late[row]);
         } else if lag_s < 0.0 {
             // Unphysical, but the estimate must not be biased by a bound at zero.
-            series.add_force(axis, |row| -lag_s * excitation.rate_n_per_s[row][axis]);
+            let (_, rates) = series.history(excitation, axis);
+            series.add_force(axis, |row| -lag_s * rates[row]);
         }
     }
 }

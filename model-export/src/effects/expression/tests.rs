@@ -224,7 +224,7 @@ fn every_target_changes_its_own_quantity() {
         let text = format!("own: {target} = a*(1 + time_s)");
         let formula = Expression::parse(&text, &[], &[]).unwrap();
         let states = vec![PhysicalState::displaced(Vector3::zeros())];
-        let mut series = StateSeries { force_n: vec![[0.0; 2]], opening_mm: Vec::new(), states };
+        let mut series = StateSeries { force_n: vec![[0.0; 2]], states, ..StateSeries::default() };
         formula.apply(&[2.0], &excitation, &mut series);
         (series.force_n[0], series.states[0])
     };
