@@ -34,9 +34,10 @@ pub struct EffectParameter {
     /// True for a shape selected by cross-validation over recordings: within the fitted recordings, a time
     /// constant of their length is confounded with every unmodelled slow change.
     pub cross_validated: bool,
-    /// True for a threshold in newtons limited to half the range of the load: an element with a larger threshold
-    /// never slips and is indistinguishable from a spring.
-    pub limited_to_half_range: bool,
+    /// True for a slider's reach in newtons: limited to a quarter of the range of the load, where the slider slips
+    /// before the middle of the largest loop. One that does not adds less to the loop than its friction, and one
+    /// that never slips is a spring: their friction is not measured.
+    pub slips_in_range: bool,
     /// Limits of the value; beyond, the fit would be another effect.
     pub limits: Option<(f64, f64)>,
     /// Recordings to which a value applies.
@@ -70,7 +71,7 @@ impl EffectParameter {
             typical,
             shared: false,
             cross_validated: false,
-            limited_to_half_range: false,
+            slips_in_range: false,
             limits: None,
             scope: ParameterScope::Campaign,
             recording: None,
@@ -111,9 +112,9 @@ impl EffectParameter {
         self
     }
 
-    /// Limited to half the range of the load.
-    pub(crate) const fn limited_to_half_range(mut self) -> Self {
-        self.limited_to_half_range = true;
+    /// Limited to a quarter of the range of the load.
+    pub(crate) const fn slips_in_range(mut self) -> Self {
+        self.slips_in_range = true;
         self
     }
 

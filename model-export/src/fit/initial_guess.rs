@@ -218,8 +218,9 @@ fn grid(parameter: &EffectParameter, searches: &[ShapeSearch], round: usize, now
             if is_searched { INITIAL_STATES.to_vec() } else { Vec::new() }
         }
         ParameterKind::Shape { grid } if parameter.cross_validated => refined(grid),
-        ParameterKind::Shape { grid } if parameter.limited_to_half_range => {
-            let max_n = half_swing_n(searches).max(grid[0]);
+        ParameterKind::Shape { grid } if parameter.slips_in_range => {
+            let reaches = searches.iter().map(|s| s.problem.rows.max_reach_n());
+            let max_n = reaches.fold(grid[0], f64::max);
             grid.iter().copied().filter(|value| *value <= max_n).collect()
         }
         ParameterKind::Shape { grid } => grid.to_vec(),
@@ -240,13 +241,6 @@ fn grid(parameter: &EffectParameter, searches: &[ShapeSearch], round: usize, now
             }
         }
     }
-}
-
-/// Half of the largest force span, in newtons.
-fn half_swing_n(searches: &[ShapeSearch]) -> f64 {
-    let spans = searches.iter().flat_map(|s| s.problem.rows.force_spans());
-    let swings = spans.map(|(low, high)| 0.5 * (high - low));
-    swings.fold(0.0, f64::max)
 }
 
 /// Grid refined by a constant ratio.

@@ -68,6 +68,9 @@ impl ModelledFields {
     }
 }
 
+/// Minimum reach of a slider in newtons: below, it slips at once.
+const MIN_REACH_N: f64 = 1e-3;
+
 impl<'a> SensorProblem<'a> {
     /// Collects the parameters.
     pub fn new(rows: &'a SensorRows, base: &'a dyn BaseModel, effects: &'a [EffectTerm]) -> Self {
@@ -75,9 +78,16 @@ impl<'a> SensorProblem<'a> {
         let base_count = parameters.len();
         let recordings = rows.parts.len();
         let mut ranges = Vec::with_capacity(effects.len());
+        let max_reach_n = rows.max_reach_n();
         for effect in effects {
             let start = parameters.len();
-            parameters.extend(effect.parameters(recordings).iter().map(FreeParameter::of));
+            for parameter in effect.parameters(recordings).iter() {
+                let mut free = FreeParameter::of(parameter);
+                if parameter.slips_in_range {
+                    free.limits = Some((MIN_REACH_N, max_reach_n.max(MIN_REACH_N)));
+                }
+                parameters.push(free);
+            }
             ranges.push(start..parameters.len());
         }
         let mut problem = Self {

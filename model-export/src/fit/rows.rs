@@ -331,6 +331,13 @@ impl SensorRows {
         (0..self.forces.len()).map(span).collect()
     }
 
+    /// Maximum reach of a slider that slips before the middle of the largest loop, in newtons: a quarter of the
+    /// largest span.
+    pub(crate) fn max_reach_n(&self) -> f64 {
+        let spans = self.force_spans().into_iter().map(|(low, high)| high - low);
+        0.25 * spans.fold(0.0, f64::max)
+    }
+
     /// Peak-to-peak field of each axis in gauss.
     pub(crate) fn field_span(&self) -> Vector3<f64> {
         let fields = || self.parts.iter().flat_map(|part| &part.field_g);
