@@ -284,6 +284,7 @@ fn path_length(force_n: &[f64], half_width_n: f64) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::effects::StateSeries;
     use crate::effects::operators::{delayed, low_pass};
 
     #[test]

@@ -224,7 +224,8 @@ fn every_target_changes_its_own_quantity() {
         let text = format!("own: {target} = a*(1 + time_s)");
         let formula = Expression::parse(&text, &[], &[]).unwrap();
         let states = vec![PhysicalState::displaced(Vector3::zeros())];
-        let mut series = StateSeries { force_n: vec![[0.0; 2]], states, ..StateSeries::default() };
+        let mut series = StateSeries::default();
+        (series.force_n, series.states) = (vec![[0.0; 2]], states);
         formula.apply(&[2.0], &excitation, &mut series);
         (series.force_n[0], series.states[0])
     };
