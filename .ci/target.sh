@@ -11,8 +11,8 @@ for_target() {
         folder=target/$target/image
         return
     fi
-    local compiler=${DEBIAN_RUSTC:-/usr/bin/rustc} sources host linker
-    sources="$("$compiler" --print sysroot)/lib/rustlib/src/rust/library/core"
+    local compiler=${DEBIAN_RUSTC:-/usr/bin/rustc} sources='' host linker
+    [ ! -x "$compiler" ] || sources="$("$compiler" --print sysroot)/lib/rustlib/src/rust/library/core"
     [ -d "$sources" ] || {
         echo "need: rustup target add $target (or: apt-get install rustc-web cargo-web rust-web-src)" >&2
         exit 1

@@ -2,6 +2,7 @@
 
 pub mod campaign_copy;
 pub mod image;
+pub mod not_run;
 pub mod points;
 
 use std::fs::{self, File};
@@ -21,7 +22,7 @@ pub fn data(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("data").join(name)
 }
 
-/// Folder of third-party measurements; prints a note and returns `None` if it is not available.
+/// Folder of third-party measurements; `None` if not available, which is told at the end of the tests.
 pub fn real_data(name: &str) -> Option<PathBuf> {
     external("real", "MAGPIE_REAL_DATA", name)
 }
@@ -46,7 +47,11 @@ fn external(kind: &str, variable: &str, name: &str) -> Option<PathBuf> {
     if folder.is_dir() {
         return Some(folder);
     }
-    eprintln!("skipped: {} not found (set {variable}; see tests/data/README.md)", folder.display());
+    let test = std::thread::current().name().unwrap_or("test").to_owned();
+    not_run::note(
+        [test.as_str()],
+        &format!("set {variable} to a folder with {kind} data (tests/data/README.md)"),
+    );
     None
 }
 

@@ -1,5 +1,5 @@
-//! The image in an emulated chip. Where this machine has no compiler for the chip every test is listed as ignored, and a
-//! line says how to get one; `EMULATION=required` makes that a failure. `EMULATION=acceptance` runs for longer.
+//! The image in an emulated chip. Where this machine has no compiler for the chip every test is listed as ignored, and the
+//! end of `cargo test` says how to get one; `EMULATION=required` makes that a failure. `EMULATION=acceptance` runs for longer.
 
 mod boards;
 mod boot;
@@ -48,11 +48,9 @@ fn main() -> ExitCode {
     let word = std::env::var("EMULATION").unwrap_or_default();
     let effort = if word == "acceptance" { Effort::Acceptance } else { Effort::Usual };
     let absent = if arguments.list { None } else { images::get(Variant::Default).err() };
-    if let Some(reason) = &absent {
-        println!("no image for the emulated chip, its tests are not run:\n{reason}");
-        if !word.is_empty() {
-            return ExitCode::FAILURE;
-        }
+    if let Some(reason) = absent.as_ref().filter(|_| !word.is_empty()) {
+        println!("no image for the emulated chip: {reason}");
+        return ExitCode::FAILURE;
     }
     // The compiler has one thread for most of an image: the others are built while tests of the first ones run.
     if absent.is_none() && !arguments.list && arguments.filter.is_none() {
@@ -77,6 +75,9 @@ fn main() -> ExitCode {
     trials.extend(uploads::trials(effort));
     trials.extend(boot::trials(effort));
     trials.extend(replay::trials(effort));
+    if let Some(reason) = &absent {
+        tests::not_run::note(trials.iter().map(Trial::name), reason);
+    }
     let trials =
         trials.into_iter().map(|trial| trial.with_ignored_flag(absent.is_some())).collect();
     libtest_mimic::run(&arguments, trials).exit_code()
