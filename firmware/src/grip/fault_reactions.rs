@@ -144,6 +144,11 @@ pub const TRIP_FAULTS: [Fault; 7] = [
     Fault::PowerStage,
 ];
 
+/// [`TRIP_FAULTS`] as heartbeat bits.
+pub(super) fn trip_bits() -> u32 {
+    TRIP_FAULTS.iter().fold(0, |bits, fault| bits | 1 << fault.index())
+}
+
 /// The fault that reports a trip, one of [`TRIP_FAULTS`].
 pub const fn fault_of(trip: Trip) -> Fault {
     match trip {

@@ -5,7 +5,7 @@ use crate::fixed_point::Force;
 use crate::grip::commands::{GripCommand, GripProfile};
 use crate::grip::debounce::next_ms;
 use crate::grip::fault_reactions::{
-    FirstFault, Reaction, TRIP_FAULTS, fault_of, is_active, strongest_reaction,
+    FirstFault, Reaction, TRIP_FAULTS, fault_of, is_active, strongest_reaction, trip_bits,
 };
 use crate::grip::states::{GripPhase, PowerState, TaskState};
 use crate::grip::transitions::{self, PowerEvent};
@@ -22,13 +22,15 @@ impl GripController {
     /// Updates the faults that this layer detects.
     pub(super) fn detect_faults(&mut self, inputs: &ControlInputs, outputs: &mut ControlOutputs) {
         let tripped = match inputs.motor.state {
-            MotorState::Tripped(trip) => Some(fault_of(trip)),
-            _ => None,
+            MotorState::Tripped(trip) => 1 << fault_of(trip).index(),
+            _ => 0,
         };
-        // Both are [`Fault::Runaway`]: the heartbeat has no bit left.
-        let is_late = inputs.motor.state == MotorState::Tripped(Trip::CommandTimeout);
-        for fault in TRIP_FAULTS {
-            self.set_fault(fault, tripped == Some(fault), is_late.into(), outputs);
+        if self.faults.bits() & trip_bits() != tripped {
+            // Both are [`Fault::Runaway`]: the heartbeat has no bit left.
+            let is_late = inputs.motor.state == MotorState::Tripped(Trip::CommandTimeout);
+            for fault in TRIP_FAULTS {
+                self.set_fault(fault, is_active(tripped, fault), is_late.into(), outputs);
+            }
         }
         let is_armed = inputs.motor.state == MotorState::Armed;
         let is_out_of_range = is_armed && inputs.motor.supply != SupplyState::Sound;
@@ -124,8 +126,7 @@ impl GripController {
         faults: u32,
     ) -> Option<CalibrationFailure> {
         // The calibration itself reports a trip of the motor.
-        let trips = TRIP_FAULTS.into_iter().fold(0, |bits, fault| bits | 1 << fault.index());
-        let bits = (faults | self.faults.bits()) & !trips;
+        let bits = (faults | self.faults.bits()) & !trip_bits();
         let worst = strongest_reaction(bits, GripPhase::Moving, self.self_locking);
         let max_n = match kind {
             CalibrationKind::Motor => self.limits.move_n,
