@@ -69,7 +69,7 @@ pub struct WidthWindow {
 }
 
 /// Parameters of a grasp.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct GraspTarget {
     /// Force set-point in newtons.
     pub setpoint_n: f32,
@@ -84,7 +84,7 @@ pub struct GraspTarget {
 }
 
 /// Target of a move.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct MoveTarget {
     /// Opening in millimetres between the fingers.
     pub opening_mm: f32,

@@ -10,7 +10,7 @@ use crate::fixed_point::Force;
 use crate::sensors::hall::SENSORS;
 
 /// Force of one finger.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum FingerForce {
     /// In newtons; positive where an object between the fingers presses.
     Valid(f32),
@@ -19,11 +19,12 @@ pub enum FingerForce {
     /// A field is outside the range of the sensor or of the model.
     OutOfRange,
     /// At least one of the two sensors has no estimate.
+    #[default]
     Lost,
 }
 
 /// Forces of both fingers.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FingerForces {
     /// Sensors 0 and 1.
     pub left: FingerForce,

@@ -1,7 +1,10 @@
 //! Inputs and outputs of one control step.
 
+use crate::config::limits::GripLimits;
 use crate::estimator::Estimate;
 use crate::grip::commands::CommandRefusal;
+use crate::grip::contact_observer::ContactObserver;
+use crate::motor::screw::Screw;
 use crate::motor::{MotorStatus, Setpoint};
 use crate::protocol::messages::{Command, FaultEvent, Foot, GripStatus};
 use crate::sensors::hall::SENSORS;
@@ -77,4 +80,23 @@ pub struct ControlOutputs {
     pub refused: Option<CommandRefusal>,
     /// Changed faults of motor and grip.
     pub events: heapless::Vec<FaultEvent, EVENTS>,
+}
+
+/// Settings of a gripper.
+#[derive(Clone, Debug)]
+pub(super) struct GripSettings {
+    pub(super) limits: GripLimits,
+    pub(super) screw: Screw,
+    /// The screw holds its load without current.
+    pub(super) self_locking: bool,
+}
+
+/// What all parts of the controller read in one step. Passed by value: its fields stay in registers where a call is inlined.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct GripStep<'a> {
+    pub(super) inputs: &'a ControlInputs<'a>,
+    pub(super) contact: &'a ContactObserver,
+    pub(super) settings: &'a GripSettings,
+    /// Milliseconds since start; wraps around.
+    pub(super) now_ms: u32,
 }

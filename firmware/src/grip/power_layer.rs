@@ -1,112 +1,116 @@
-//! Power layer: detection, reaction, latching and clearing of faults; session and arming.
+//! Power layer: session, arming and enabling, and the reactions to faults.
 
-use crate::config::constants;
-use crate::fixed_point::Force;
-use crate::grip::commands::{GripCommand, GripProfile};
-use crate::grip::debounce::next_ms;
-use crate::grip::fault_reactions::{
-    FirstFault, Reaction, TRIP_FAULTS, fault_of, is_active, strongest_reaction, trip_bits,
-};
-use crate::grip::states::{GripPhase, PowerState, TaskState};
+use crate::grip::commands::{GripCommand, RefusalReason, flag};
+use crate::grip::fault_monitor::FaultMonitor;
+use crate::grip::fault_reactions::{FirstFault, Reaction, is_active, strongest_reaction};
+use crate::grip::hold_current::MARGIN;
+use crate::grip::interface::{ArmingRequest, ControlInputs, ControlOutputs, GripStep};
+use crate::grip::states::{GripPhase, PowerState, TaskState, state_code};
+use crate::grip::task_layer::TaskLayer;
+use crate::grip::task_layer::setpoint::{STOP, back_off, holding_a};
 use crate::grip::transitions::{self, PowerEvent};
-use crate::grip::{ArmingRequest, ControlInputs, ControlOutputs, GripController};
-use crate::motor::calibration::{CalibrationFailure, CalibrationKind};
-use crate::motor::state::SupplyState;
-use crate::motor::{MotorState, MotorStatus, Trip};
+use crate::motor::{MotorState, Setpoint};
+use crate::protocol::messages::Command;
 use crate::system::faults::Fault;
 
 /// Milliseconds for which a host's clear is in effect: a motor trip ends only once the motor is disarmed.
 const CLEARING_MS: u8 = 5;
 
-impl GripController {
-    /// Updates the faults that this layer detects.
-    pub(super) fn detect_faults(&mut self, inputs: &ControlInputs, outputs: &mut ControlOutputs) {
-        let tripped = match inputs.motor.state {
-            MotorState::Tripped(trip) => 1 << fault_of(trip).index(),
-            _ => 0,
-        };
-        if self.faults.bits() & trip_bits() != tripped {
-            // Both are [`Fault::Runaway`]: the heartbeat has no bit left.
-            let is_late = inputs.motor.state == MotorState::Tripped(Trip::CommandTimeout);
-            for fault in TRIP_FAULTS {
-                self.set_fault(fault, is_active(tripped, fault), is_late.into(), outputs);
-            }
-        }
-        let is_armed = inputs.motor.state == MotorState::Armed;
-        let is_out_of_range = is_armed && inputs.motor.supply != SupplyState::Sound;
-        let detail = (inputs.motor.bus_v * 1e3) as u32;
-        self.set_fault(Fault::Supply, is_out_of_range, detail, outputs);
-        self.set_fault(Fault::Hot, is_armed && inputs.motor.is_hot, 0, outputs);
-        self.check_opening(inputs, outputs);
-        let is_blind = self.lost_ticks >= self.limits.invalid_ticks;
-        self.set_fault(Fault::Blind, is_blind, 0, outputs);
-        let is_over =
-            self.beyond.is_over() || (self.invalid_ticks == 0 && self.force_n > self.limits.trip_n);
-        let detail = (self.force_n * Force::PER_NEWTON as f32) as u32;
-        self.set_fault(Fault::OverForce, is_over, detail, outputs);
-        let is_foot = self.power == PowerState::Enabled && self.task == TaskState::Foot;
-        let is_overloaded = is_foot && self.ground_contact.peak_n > self.limits.overload_n;
-        // Latched until a host clears it.
-        if is_overloaded || inputs.clear {
-            let detail = self.ground_contact.peak_detail();
-            self.set_fault(Fault::FootOverload, is_overloaded, detail, outputs);
-        }
-        let is_lost = self.power == PowerState::Enabled && self.task == TaskState::Lost;
-        self.set_fault(Fault::ObjectLost, is_lost, 0, outputs);
-        if inputs.clear {
-            self.set_fault(Fault::Jammed, false, 0, outputs);
-            self.set_fault(Fault::StrokeWrong, false, 0, outputs);
+/// State of the power layer.
+#[derive(Clone, Debug)]
+pub(super) struct PowerLayer {
+    state: PowerState,
+    state_ms: u32,
+    /// Last executed command and its repeat flag.
+    last_command: Option<(GripCommand, bool)>,
+    /// Reaction to the latched fault.
+    reaction: Reaction,
+    /// The fingers reduce an excessive force.
+    backs_off: bool,
+    /// A stop frame arrived, and no host has cleared it at rest since.
+    is_stopped: bool,
+    clearing_ms: u8,
+}
+
+impl Default for PowerLayer {
+    fn default() -> Self {
+        Self {
+            state: PowerState::Boot,
+            state_ms: 0,
+            last_command: None,
+            reaction: Reaction::Warn,
+            backs_off: false,
+            is_stopped: false,
+            clearing_ms: 0,
         }
     }
+}
 
-    /// Checks that the opening is within the stroke; closed fingers beyond zero must press on each other. An
-    /// implausible opening becomes unknown.
-    fn check_opening(&mut self, inputs: &ControlInputs, outputs: &mut ControlOutputs) {
-        let limits = &self.limits;
-        let opening_mm = inputs.motor.opening_mm.filter(|_| self.task != TaskState::Homing);
-        let is_implausible = opening_mm.is_some_and(|mm| {
-            let is_beyond_closed = mm < -limits.overtravel_mm && self.force_n < limits.contact_n;
-            is_beyond_closed || mm > constants::STROKE.value as f32 + limits.overtravel_mm
-        });
-        self.implausible_ms = next_ms(self.implausible_ms, is_implausible);
-        if self.implausible_ms >= limits.overtravel_ms {
-            let detail = (opening_mm.unwrap_or_default().abs() * 1e3) as u32;
-            self.set_fault(Fault::StrokeWrong, true, detail, outputs);
-            outputs.opening_mm = Some(f32::NAN);
-            self.implausible_ms = 0;
-        }
+impl PowerLayer {
+    pub(super) const fn state(&self) -> PowerState {
+        self.state
     }
 
-    /// Reacts to faults and to the session, and advances the power state.
-    pub(super) fn update_power(&mut self, inputs: &ControlInputs, outputs: &mut ControlOutputs) {
-        let bits = inputs.faults | self.faults.bits();
+    pub(super) const fn is_stopped(&self) -> bool {
+        self.is_stopped
+    }
+
+    /// Bits of [`super::redundant_copy`].
+    pub(super) const fn copy_word(&self) -> u32 {
+        self.state as u32 | (self.reaction as u32) << 16 | (self.backs_off as u32) << 27
+    }
+
+    /// Reacts to faults and to the session, and advances the state.
+    pub(super) fn update(
+        &mut self,
+        step: GripStep,
+        task: &mut TaskLayer,
+        faults: &mut FaultMonitor,
+        outputs: &mut ControlOutputs,
+    ) {
+        let GripStep { inputs, contact, settings, .. } = step;
+        self.state_ms = self.state_ms.saturating_add(1);
+        let bits = inputs.faults | faults.bits();
         self.clearing_ms =
             if inputs.clear { CLEARING_MS } else { self.clearing_ms.saturating_sub(1) };
         if self.is_clearing() {
-            self.first_fault.clear(|fault| is_active(bits, fault));
+            faults.clear_first(bits);
         }
-        self.react(bits);
+        self.react(bits, step, task, faults);
         if inputs.stop {
             self.is_stopped = true;
-            self.apply_power_event(PowerEvent::QuickStop);
-        } else if inputs.clear && self.power != PowerState::QuickStop && self.is_at_rest() {
+            self.apply(PowerEvent::QuickStop, step, task);
+        } else if inputs.clear
+            && self.state != PowerState::QuickStop
+            && contact.is_at_rest(settings)
+        {
             self.is_stopped = false;
         }
         // Only opening is allowed while a fault is latched.
-        let is_latched = self.first_fault.cause().is_some();
-        if is_latched && self.power == PowerState::Enabled && self.task != TaskState::Releasing {
-            self.apply_power_event(PowerEvent::QuickStop);
+        if faults.is_latched()
+            && self.state == PowerState::Enabled
+            && task.state() != TaskState::Releasing
+        {
+            self.apply(PowerEvent::QuickStop, step, task);
         }
-        self.advance(inputs);
-        let is_off = matches!(self.power, PowerState::FaultReaction | PowerState::Fault);
-        let has_severe_fault = strongest_reaction(bits, GripPhase::Moving, self.self_locking)
+        if let Some(event) = self.next_event(step, task, faults) {
+            self.apply(event, step, task);
+        }
+        let is_off = matches!(self.state, PowerState::FaultReaction | PowerState::Fault);
+        let has_severe_fault = strongest_reaction(bits, GripPhase::Moving, settings.self_locking)
             .is_some_and(|(reaction, _)| reaction > Reaction::QuickStop);
         let is_unsound = is_active(bits, Fault::TablesUnsound) || inputs.is_sound != Some(true);
         outputs.may_arm = !(is_off || has_severe_fault || is_unsound || inputs.is_calibrating);
-        outputs.arming = match (self.power, inputs.motor.state) {
+        outputs.arming = self.arming_request(inputs);
+    }
+
+    const fn arming_request(&self, inputs: &ControlInputs) -> Option<ArmingRequest> {
+        match (self.state, inputs.motor.state) {
             (PowerState::Armed, MotorState::Disarmed) => Some(ArmingRequest::Arm),
             // The shorted windings let a load on a backdrivable screw down slowly.
-            (PowerState::Fault, _) if self.reaction == Reaction::Brake && !self.is_clearing() => {
+            (PowerState::Fault, _)
+                if matches!(self.reaction, Reaction::Brake) && !self.is_clearing() =>
+            {
                 None
             }
             (
@@ -114,47 +118,7 @@ impl GripController {
                 MotorState::Arming | MotorState::Armed | MotorState::Tripped(_),
             ) => Some(ArmingRequest::Disarm),
             _ => None,
-        };
-    }
-
-    /// Why a calibration of the motor must end, given the faults of other tasks. To be called once in each of its
-    /// milliseconds.
-    pub fn calibration_failure(
-        &mut self,
-        kind: CalibrationKind,
-        motor: &MotorStatus,
-        faults: u32,
-    ) -> Option<CalibrationFailure> {
-        // The calibration itself reports a trip of the motor.
-        let bits = (faults | self.faults.bits()) & !trip_bits();
-        let worst = strongest_reaction(bits, GripPhase::Moving, self.self_locking);
-        let max_n = match kind {
-            CalibrationKind::Motor => self.limits.move_n,
-            // The test grips with about 100 N.
-            CalibrationKind::Screw => 2.0 * GripProfile::Normal.max_n(),
-        };
-        let outward_n = self.fingers.outward_n().unwrap_or_default();
-        if worst.is_some_and(|(reaction, _)| reaction >= Reaction::QuickStop) {
-            Some(CalibrationFailure::Fault)
-        } else if self.force_n.max(self.rise_n) > max_n || outward_n > self.limits.outward_n {
-            Some(CalibrationFailure::Force)
-        } else if self.presses_soft_part(motor) {
-            Some(CalibrationFailure::SoftPart)
-        } else {
-            None
         }
-    }
-
-    /// Whether the rise of the force over the rotor's travel since contact is that of something soft, such as a hand.
-    fn presses_soft_part(&mut self, motor: &MotorStatus) -> bool {
-        if self.rise_n < self.limits.contact_n {
-            self.touched_rad = None;
-            return false;
-        }
-        let touched_rad = *self.touched_rad.get_or_insert(motor.rotor_rad);
-        let travel_mm = (motor.rotor_rad - touched_rad) * self.screw.ratio_mm;
-        let stiff_n = self.limits.part_n_per_mm * travel_mm;
-        self.rise_n > self.limits.part_n && self.rise_n - self.limits.contact_n < stiff_n
     }
 
     const fn is_clearing(&self) -> bool {
@@ -162,33 +126,46 @@ impl GripController {
     }
 
     /// Carries out the reaction to the worst active fault and latches the first fault.
-    fn react(&mut self, bits: u32) {
-        let phase = match self.power {
-            PowerState::Enabled => self.task.phase(self.has_settled),
-            _ if self.is_gripped => GripPhase::Holding,
+    fn react(
+        &mut self,
+        bits: u32,
+        step: GripStep,
+        task: &mut TaskLayer,
+        faults: &mut FaultMonitor,
+    ) {
+        let phase = match self.state {
+            PowerState::Enabled => task.phase(),
+            _ if task.is_gripped() => GripPhase::Holding,
             _ => GripPhase::Moving,
         };
-        let Some((reaction, fault)) = strongest_reaction(bits, phase, self.self_locking) else {
+        let Some((reaction, fault)) = strongest_reaction(bits, phase, step.settings.self_locking)
+        else {
             return;
         };
-        let event = match (reaction, self.power) {
+        let event = match (reaction, self.state) {
             (Reaction::Warn | Reaction::Hold, _) => return,
             (Reaction::QuickStop, PowerState::Enabled) => PowerEvent::QuickStop,
             (Reaction::QuickStop, _) => return,
             (Reaction::Brake | Reaction::Off, _) => PowerEvent::Fault,
         };
-        let state = self.state();
-        if self.apply_power_event(event) {
+        let state = state_code(self.state, task.state());
+        if self.apply(event, step, task) {
             self.reaction = reaction;
             self.backs_off = fault == Fault::OverForce;
-            self.first_fault.record(FirstFault { fault, state, at_ms: self.now_ms });
+            faults.record(FirstFault { fault, state, at_ms: step.now_ms });
         }
     }
 
-    /// Applies the event that follows from the session, the self-test, or the end of the present state.
-    fn advance(&mut self, inputs: &ControlInputs) {
+    /// The event that follows from the session, the self-test, or the end of the present state.
+    fn next_event(
+        &self,
+        step: GripStep,
+        task: &TaskLayer,
+        faults: &FaultMonitor,
+    ) -> Option<PowerEvent> {
+        let GripStep { inputs, settings, .. } = step;
         let host = &inputs.host;
-        let event = match self.power {
+        match self.state {
             PowerState::Boot => Some(PowerEvent::Started),
             PowerState::SelfTest => inputs.is_sound.map(|is_sound| {
                 if is_sound { PowerEvent::SelfTestPassed } else { PowerEvent::SelfTestFailed }
@@ -205,59 +182,188 @@ impl GripController {
             PowerState::ArmPending if host.is_open => Some(PowerEvent::SessionOpened),
             PowerState::ArmPending => (!host.is_offered).then_some(PowerEvent::NonceExpired),
             // A load on a backdrivable screw is held without a host.
-            PowerState::Armed => {
-                let is_loaded = self.is_gripped || self.task == TaskState::Foot;
-                (!host.is_open && (self.self_locking || !is_loaded))
-                    .then_some(PowerEvent::SessionClosed)
-            }
+            PowerState::Armed => (!host.is_open && (settings.self_locking || !task.is_loaded()))
+                .then_some(PowerEvent::SessionClosed),
             PowerState::Enabled => None,
-            PowerState::QuickStop => self.has_stopped().then_some(PowerEvent::Stopped),
+            PowerState::QuickStop => self.has_stopped(step).then_some(PowerEvent::Stopped),
             PowerState::FaultReaction => {
-                let is_over = self.has_come_to_rest() || self.power_ms >= self.limits.stop_ms;
+                let is_over =
+                    self.has_come_to_rest(step) || self.state_ms >= settings.limits.stop_ms;
                 is_over.then_some(PowerEvent::ReactionDone)
             }
             PowerState::Fault => {
-                let is_gone = self.first_fault.cause().is_none() && inputs.is_sound == Some(true);
+                let is_gone = !faults.is_latched() && inputs.is_sound == Some(true);
                 (self.is_clearing() && is_gone).then_some(PowerEvent::Cleared)
             }
-        };
-        if let Some(event) = event {
-            self.apply_power_event(event);
         }
     }
 
-    /// Whether the fingers have rested since the power state began.
-    fn has_come_to_rest(&self) -> bool {
-        self.is_at_rest() && self.power_ms >= u32::from(self.limits.resting_ms)
+    /// Whether the fingers have rested since the state began.
+    fn has_come_to_rest(&self, step: GripStep) -> bool {
+        let resting_ms = u32::from(step.settings.limits.resting_ms);
+        step.contact.is_at_rest(step.settings) && self.state_ms >= resting_ms
     }
 
-    fn has_stopped(&self) -> bool {
+    fn has_stopped(&self, step: GripStep) -> bool {
+        let limits = &step.settings.limits;
         let has_backed_off =
-            !self.backs_off || self.force_n < 1.2 * self.limits.overforce_release_n;
-        let limit_ms = if self.backs_off { self.limits.back_off_ms } else { self.limits.stop_ms };
-        (self.has_come_to_rest() && has_backed_off) || self.power_ms >= limit_ms
+            !self.backs_off || step.contact.force_n() < 1.2 * limits.overforce_release_n;
+        let limit_ms = if self.backs_off { limits.back_off_ms } else { limits.stop_ms };
+        (self.has_come_to_rest(step) && has_backed_off) || self.state_ms >= limit_ms
     }
 
-    /// Applies an event to the power layer; whether the table lists a transition.
-    pub(super) fn apply_power_event(&mut self, event: PowerEvent) -> bool {
-        let Some(to) = transitions::next_power_state(self.power, event) else {
+    /// Applies an event; whether the table lists a transition.
+    fn apply(&mut self, event: PowerEvent, step: GripStep, task: &mut TaskLayer) -> bool {
+        let Some(to) = transitions::next_power_state(self.state, event) else {
             return false;
         };
-        if self.power == PowerState::Enabled {
+        if self.state == PowerState::Enabled {
             // A repeated RELEASE, which needs no ENABLE, must not start again.
             let is_release =
                 |command: &(GripCommand, bool)| matches!(command, (GripCommand::Release(_), _));
             self.last_command = self.last_command.filter(is_release);
         }
-        if matches!(to, PowerState::QuickStop | PowerState::Armed) {
-            self.hold_mm = None;
-        }
-        if matches!(to, PowerState::Safe | PowerState::Fault) {
-            // The motor is off: only a self-locking screw still holds the object.
-            self.is_gripped &= self.self_locking;
-        }
-        self.power = to;
-        self.power_ms = 0;
+        task.on_power_state(to, step.settings.self_locking);
+        (self.state, self.state_ms) = (to, 0);
         true
+    }
+
+    /// Executes a command unless it repeats the last one.
+    ///
+    /// # Errors
+    /// Why it is refused.
+    pub(super) fn handle_command(
+        &mut self,
+        command: &Command,
+        step: GripStep,
+        task: &mut TaskLayer,
+        faults: &FaultMonitor,
+    ) -> Result<(), RefusalReason> {
+        let decoded = GripCommand::of(command, &step.settings.limits)?;
+        let received = (decoded, command.flags & flag::AGAIN != 0);
+        if self.last_command == Some(received) {
+            return Ok(());
+        }
+        match decoded {
+            GripCommand::Enable => self.enable(step, task, faults)?,
+            GripCommand::Disable => self.disable(step, task)?,
+            GripCommand::Release(_) if self.state == PowerState::Armed => {
+                // Opens while a fault, active or latched, prevents enabling.
+                self.check_ready(GripPhase::Releasing, step, faults)?;
+                if !step.inputs.host.is_alive {
+                    return Err(RefusalReason::NotEnabled);
+                }
+                task.start(decoded, step)?;
+                self.apply(PowerEvent::Enable, step, task);
+            }
+            _ if self.state != PowerState::Enabled => return Err(RefusalReason::NotEnabled),
+            command => task.start(command, step)?,
+        }
+        self.last_command = Some(received);
+        Ok(())
+    }
+
+    fn enable(
+        &mut self,
+        step: GripStep,
+        task: &mut TaskLayer,
+        faults: &FaultMonitor,
+    ) -> Result<(), RefusalReason> {
+        match self.state {
+            PowerState::Enabled => return Ok(()),
+            PowerState::Armed => {}
+            _ => return Err(RefusalReason::NotEnabled),
+        }
+        self.check_ready(GripPhase::Moving, step, faults)?;
+        if faults.is_latched() {
+            return Err(RefusalReason::FaultLatched);
+        }
+        if self.apply(PowerEvent::Enable, step, task) {
+            task.resume(step);
+        }
+        Ok(())
+    }
+
+    /// Conditions for the drive to be enabled for a phase.
+    fn check_ready(
+        &self,
+        phase: GripPhase,
+        step: GripStep,
+        faults: &FaultMonitor,
+    ) -> Result<(), RefusalReason> {
+        if self.is_stopped {
+            return Err(RefusalReason::Stopped);
+        }
+        let bits = step.inputs.faults | faults.bits();
+        let worst = strongest_reaction(bits, phase, step.settings.self_locking);
+        if worst.is_some_and(|(reaction, _)| reaction >= Reaction::QuickStop) {
+            return Err(RefusalReason::FaultActive);
+        }
+        if step.inputs.motor.state != MotorState::Armed {
+            return Err(RefusalReason::MotorNotReady);
+        }
+        Ok(())
+    }
+
+    fn disable(&mut self, step: GripStep, task: &mut TaskLayer) -> Result<(), RefusalReason> {
+        if self.state != PowerState::Enabled {
+            return Ok(());
+        }
+        match task.state() {
+            task if task.moves() || task.holds() => Err(RefusalReason::of(task)),
+            task @ (TaskState::GripFailed
+            | TaskState::Stopping
+            | TaskState::ContactStop
+            | TaskState::Foot) => Err(RefusalReason::of(task)),
+            _ => {
+                self.apply(PowerEvent::Disable, step, task);
+                Ok(())
+            }
+        }
+    }
+
+    /// Motor set-point of the present state.
+    pub(super) fn setpoint(&self, step: GripStep, task: &mut TaskLayer) -> Setpoint {
+        match self.state {
+            PowerState::Boot
+            | PowerState::SelfTest
+            | PowerState::Safe
+            | PowerState::ArmPending
+            | PowerState::Calibrating => Setpoint::Off,
+            PowerState::Armed if task.state() == TaskState::Foot => task.hold_foot(step),
+            PowerState::Armed if task.is_gripped() && !step.settings.self_locking => {
+                task.hold_position(step, task.hold_a().max(holding_a(step) * MARGIN))
+            }
+            PowerState::Armed => Setpoint::Off,
+            PowerState::QuickStop if task.state() == TaskState::Foot => task.hold_foot(step),
+            // The stiffness of what causes the excessive force is unknown.
+            PowerState::QuickStop if self.backs_off => back_off(step),
+            PowerState::QuickStop => STOP,
+            PowerState::FaultReaction | PowerState::Fault => match self.reaction {
+                Reaction::Brake => Setpoint::Brake,
+                _ => Setpoint::Off,
+            },
+            PowerState::Enabled => task.setpoint(step),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn copy_word_differs_for_each_state_reaction_and_flag() {
+        let power = PowerLayer::default();
+        let word = |change: &dyn Fn(&mut PowerLayer)| {
+            let mut changed = power.clone();
+            change(&mut changed);
+            changed.copy_word()
+        };
+        for state in PowerState::ALL.iter().filter(|state| **state != power.state) {
+            assert_ne!(word(&|power| power.state = *state), power.copy_word(), "{state:?}");
+        }
+        assert_ne!(word(&|power| power.reaction = Reaction::Off), power.copy_word());
+        assert_ne!(word(&|power| power.backs_off = true), power.copy_word());
     }
 }

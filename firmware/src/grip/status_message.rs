@@ -34,22 +34,22 @@ impl GripController {
         outputs.status = GripStatus {
             position: motor.opening_mm.map_or(OPENING_UNKNOWN, |mm| (mm * per_mm) as u16),
             speed: (-motor.closing_mm_s * per_mm_s) as i16,
-            force: (self.force_n * per_n) as i16,
+            force: (self.contact.force_n() * per_n) as i16,
             current: (motor.current.q * per_a) as i16,
             object: self.object(),
             ..GripStatus::default()
         };
-        let is_foot = self.power == PowerState::Enabled && self.task == TaskState::Foot;
-        outputs.foot = is_foot.then(|| self.ground_contact.message());
+        let is_foot = self.power() == PowerState::Enabled && self.task() == TaskState::Foot;
+        outputs.foot = is_foot.then(|| self.ground_contact().message());
     }
 
     fn object(&self) -> u8 {
-        let is_enabled = self.power == PowerState::Enabled;
-        match self.task {
+        let is_enabled = self.power() == PowerState::Enabled;
+        match self.task() {
             task if is_enabled && task.moves() => object::MOVING,
             TaskState::Stopping if is_enabled => object::MOVING,
-            _ if !self.contact.is_confirmed() => object::AT_POSITION,
-            TaskState::ContactStop | TaskState::Idle if self.is_opening => {
+            _ if !self.contact.detector().is_confirmed() => object::AT_POSITION,
+            TaskState::ContactStop | TaskState::Idle if self.task.is_opening() => {
                 object::CONTACT_WHILE_OPENING
             }
             _ => object::CONTACT_WHILE_CLOSING,

@@ -18,6 +18,7 @@ const FRICTION_A: f32 = 0.3;
 const AMPERES_PER_N: f32 = 0.017;
 
 /// The rig.
+#[derive(Clone)]
 pub struct GripRig {
     pub grip: GripController,
     pub motor: MotorStatus,
@@ -50,12 +51,14 @@ pub struct GripRig {
 impl GripRig {
     /// After start, with a known opening.
     pub fn new(self_locking: bool) -> Self {
+        Self::with_limits(self_locking, GripLimits::GRIPPER)
+    }
+
+    /// As [`Self::new`], with other limits.
+    pub fn with_limits(self_locking: bool, limits: GripLimits) -> Self {
+        let screw = if self_locking { Screw::A } else { Screw::B };
         Self {
-            grip: GripController::new(
-                GripLimits::GRIPPER,
-                if self_locking { Screw::A } else { Screw::B },
-                self_locking,
-            ),
+            grip: GripController::new(limits, screw, self_locking),
             motor: MotorStatus { opening_mm: Some(50.0), ..MotorStatus::default() },
             host: SessionStatus::default(),
             command: None,
@@ -86,10 +89,15 @@ impl GripRig {
     pub fn enabled_at(self_locking: bool, opening_mm: f32) -> Self {
         let mut rig = Self::new(self_locking);
         (rig.motor.opening_mm, rig.true_mm) = (Some(opening_mm), opening_mm);
-        rig.arm();
-        rig.send(mode::ENABLE, |_| {});
-        assert_eq!(rig.grip.power(), PowerState::Enabled);
+        rig.enable();
         rig
+    }
+
+    /// Opens a session and enables the drive.
+    pub fn enable(&mut self) {
+        self.arm();
+        self.send(mode::ENABLE, |_| {});
+        assert_eq!(self.grip.power(), PowerState::Enabled);
     }
 
     /// Opens a session.
@@ -117,6 +125,158 @@ impl GripRig {
         rig.send(mode::FOOT, |_| {});
         assert_eq!(rig.grip.task(), TaskState::Foot);
         rig
+    }
+
+    /// In any task state, brought about by commands and by what surrounds the fingers.
+    pub fn in_task(task: TaskState, self_locking: bool) -> Self {
+        let mut rig = Self::enabled(self_locking);
+        let to = |rig: &mut Self, mode, position| {
+            rig.send(mode, |command| {
+                (command.position, command.speed, command.force) = (position, 40, 1000);
+            });
+        };
+        match task {
+            TaskState::Unhomed => {
+                rig = Self::new(self_locking);
+                rig.motor.opening_mm = None;
+                rig.enable();
+            }
+            TaskState::Homing => to(&mut rig, mode::HOME, 0),
+            TaskState::Idle => {}
+            TaskState::Moving => to(&mut rig, mode::MOVE, 200),
+            TaskState::Approach => to(&mut rig, mode::GRIP, 0),
+            TaskState::Releasing => to(&mut rig, mode::RELEASE, 1400),
+            TaskState::ContactStop => {
+                rig.object = Some((40.0, 50.0));
+                to(&mut rig, mode::MOVE, 200);
+            }
+            TaskState::Force
+            | TaskState::HoldActive
+            | TaskState::HoldLatched
+            | TaskState::HoldFrozen
+            | TaskState::Lost => {
+                rig.object = Some((40.0, 50.0));
+                to(&mut rig, mode::GRIP, 0);
+                rig.run_until(if task == TaskState::Force { task } else { TaskState::HoldActive });
+                if task == TaskState::HoldFrozen {
+                    rig.corrupt = Some(|estimates| *estimates = [Estimate::MISSING; 4]);
+                }
+                if task == TaskState::Lost {
+                    rig.object = None;
+                }
+            }
+            TaskState::NoObject => to(&mut rig, mode::GRIP, 0),
+            TaskState::GripFailed => {
+                rig.object = Some((40.0, 50.0));
+                // 10 mm, 1 mm on either side.
+                rig.send(mode::GRIP, |command| {
+                    (command.position, command.force, command.flags) = (200, 1000, 1 << 2);
+                });
+            }
+            TaskState::Foot => rig = Self::foot(self_locking),
+            TaskState::Stopping | TaskState::TimeoutHold => {
+                to(&mut rig, mode::MOVE, 200);
+                rig.run(20);
+                rig.host.is_alive = task == TaskState::Stopping;
+                to(&mut rig, mode::STOP, 0);
+            }
+        }
+        rig.run_until(task);
+        rig.host.is_alive = true;
+        rig
+    }
+
+    /// Gripping with a force in newtons until a state; the fingers rest at 40 mm, and their force is given.
+    pub fn gripped(force_n: f32, self_locking: bool, task: TaskState) -> Self {
+        let mut rig = Self::enabled_at(self_locking, 40.0);
+        rig.send(mode::GRIP, |command| {
+            // Strong: up to 350 N.
+            (command.force, command.flags) = ((10.0 * force_n) as u16, 2);
+        });
+        rig.press(force_n.into());
+        for _ in 0..400 {
+            rig.rest(40.0, 0.0);
+            if rig.grip.task() == task {
+                return rig;
+            }
+        }
+        panic!("{:?} instead of {task:?}", rig.grip.task());
+    }
+
+    /// Sets the estimates to equal forces on both fingers.
+    pub fn press(&mut self, newtons: f64) {
+        let half = (0.5 * newtons * Force::PER_NEWTON).round() / Force::PER_NEWTON;
+        self.estimates = Some(pressed([half, half, -half, -half], [0.0; 4]));
+    }
+
+    /// Three milliseconds of fingers that rest at 40 mm with a force, which then is exactly their mean: the mean of a finger begins
+    /// anew after an invalid force.
+    pub fn settle(&mut self, newtons: f64) {
+        for lost in [Some(0), Some(2), None] {
+            self.press(newtons);
+            if let (Some(at), Some(estimates)) = (lost, &mut self.estimates) {
+                estimates[at] = Estimate::MISSING;
+            }
+            self.rest(40.0, 0.0);
+        }
+    }
+
+    /// One millisecond in which both fingers press with a force.
+    pub fn tick_pressed(&mut self, newtons: f64) {
+        self.press(newtons);
+        self.tick();
+    }
+
+    /// One millisecond of fingers that rest at an opening, with a current.
+    pub fn rest(&mut self, opening_mm: impl Into<Option<f32>>, current_a: f32) {
+        self.moving(opening_mm, 0.0, current_a);
+    }
+
+    /// One millisecond of fingers at an opening with a speed and a current.
+    pub fn moving(
+        &mut self,
+        opening_mm: impl Into<Option<f32>>,
+        closing_mm_s: f32,
+        current_a: f32,
+    ) {
+        self.motor.opening_mm = opening_mm.into();
+        self.true_mm = self.motor.opening_mm.unwrap_or(50.0);
+        self.motor.closing_mm_s = closing_mm_s;
+        self.motor.current.q = current_a;
+        self.tick();
+    }
+
+    /// A stop frame.
+    pub fn stop_all(&mut self) {
+        self.stop = true;
+        self.tick();
+        self.stop = false;
+    }
+
+    /// A host clears the faults.
+    pub fn clear_faults(&mut self) {
+        self.clear = true;
+        self.tick();
+        self.clear = false;
+    }
+
+    pub fn is_active(&self, fault: Fault) -> bool {
+        self.grip.fault_bits() & 1 << fault.index() != 0
+    }
+
+    /// Detail of a fault that became active in the last tick.
+    pub fn new_fault(&self, fault: Fault) -> Option<u32> {
+        let events = &self.outputs.as_ref().unwrap().events;
+        let mut of_fault = events.iter().filter(|event| event.code == fault as u16);
+        of_fault.find_map(|event| (event.active == 1).then_some(event.detail))
+    }
+
+    /// Closing speed and current limit of the set-point.
+    pub fn speed(&self) -> (f32, f32) {
+        match self.setpoint() {
+            Setpoint::Speed { closing_mm_s, max_a } => (closing_mm_s, max_a),
+            other => panic!("{other:?}"),
+        }
     }
 
     /// Sends a command once.

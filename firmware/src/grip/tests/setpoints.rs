@@ -2,178 +2,184 @@
 //!
 //! At the hardest contact (333 N/mm) and 32 Hz a force error of 1 N is 2 pi 32 / 333 = 0.60379 mm/s.
 
-use crate::config::limits::GripLimits;
-use crate::grip::GripController;
-use crate::grip::commands::{GraspTarget, MoveTarget, WidthWindow};
-use crate::grip::fault_reactions::Reaction;
+use crate::estimator::Estimate;
+use crate::grip::commands::{flag, mode};
 use crate::grip::states::{PowerState, TaskState};
 use crate::grip::tests::rig::GripRig;
 use crate::motor::foc::Dq;
-use crate::motor::screw::Screw;
-use crate::motor::{MotorStatus, Setpoint};
+use crate::motor::{MotorState, Setpoint, Trip};
 
 /// Peak current: 0.96 N m / 0.1 N m/A.
 const PEAK_A: f32 = 9.6;
 /// Closing speed for one newton at the hardest contact.
 const PER_N: f32 = 0.603_79;
-
-fn at(opening_mm: f32) -> MotorStatus {
-    MotorStatus { opening_mm: Some(opening_mm), ..MotorStatus::default() }
-}
-
-/// A controller in a state, with a grasp target of 100 N and an unlimited speed.
-fn in_state(power: PowerState, task: TaskState, self_locking: bool) -> GripController {
-    let screw = if self_locking { Screw::A } else { Screw::B };
-    let mut grip = GripController::new(GripLimits::GRIPPER, screw, self_locking);
-    (grip.power, grip.task, grip.setpoint_n) = (power, task, 100.0);
-    grip.target = GraspTarget {
-        setpoint_n: 100.0,
-        max_mm_s: 60.0,
-        cap_n: 100.0,
-        window: None,
-        is_fast: false,
-    };
-    grip
-}
-
-fn enabled(task: TaskState) -> GripController {
-    in_state(PowerState::Enabled, task, true)
-}
+/// Approach speed for 100 N: (0.1 * 100 N + 2 N) / (333 N/mm * 2.5 ms).
+const SLOW_MM_S: f32 = 14.414;
 
 /// Compares the closing speed and the current limit of a speed set-point.
-fn assert_speed(found: Setpoint, closing_mm_s: f32, max_a: f32) {
-    let Setpoint::Speed { closing_mm_s: speed, max_a: limit_a } = found else {
-        panic!("{found:?}");
-    };
+fn assert_speed(rig: &GripRig, closing_mm_s: f32, max_a: f32) {
+    let (speed, limit_a) = rig.speed();
     assert!((speed - closing_mm_s).abs() < 1e-3, "{speed} instead of {closing_mm_s}");
     assert!((limit_a - max_a).abs() < 1e-3, "{limit_a} instead of {max_a}");
 }
 
 #[test]
-fn uncalibrated_move_has_more_current_only_away_from_an_end() {
-    let mut grip = enabled(TaskState::Moving);
-    // Opening from the closed end, closing from the far end at 80 mm; the ends are 1 mm long.
-    for (is_opening, opening_mm, leaves_end) in [
-        (true, 0.0, true),
-        (true, 0.9, true),
-        (true, 1.0, false),
-        (true, 79.5, false),
-        (false, 80.0, true),
-        (false, 79.1, true),
-        (false, 79.0, false),
-        (false, 0.5, false),
-    ] {
-        grip.is_opening = is_opening;
-        let expected = if leaves_end { (5.0, 4.0) } else { (25.0, 0.6) };
-        assert_eq!(
-            grip.uncalibrated_limits(&at(opening_mm)),
-            expected,
-            "{is_opening} {opening_mm}"
-        );
-    }
-    assert_eq!(grip.uncalibrated_limits(&MotorStatus::default()), (25.0, 0.6));
-}
-
-#[test]
 fn move_is_limited_only_where_the_forces_are_not_believed() {
-    let mut grip = enabled(TaskState::Moving);
-    for (is_uncalibrated, requested_mm_s, speed_mm_s, max_a) in
-        [(false, 40.0, 40.0, PEAK_A), (true, 40.0, 25.0, 0.6), (true, 20.0, 20.0, 0.6)]
-    {
-        grip.move_target =
-            MoveTarget { opening_mm: 30.0, speed_mm_s: requested_mm_s, is_uncalibrated };
-        let expected = Setpoint::Position { opening_mm: 30.0, speed_mm_s, max_a };
-        assert_eq!(grip.motor_setpoint(&at(50.0)), expected);
+    let uncalibrated = flag::UNCALIBRATED;
+    // From, to, requested speed; speed and current. Away from an end, which is 1 mm long, it has more current.
+    for (from_mm, to_mm, requested_mm_s, flags, speed_mm_s, max_a) in [
+        (50.0, 30.0, 40.0, 0, 40.0, PEAK_A),
+        (50.0, 30.0, 40.0, uncalibrated, 25.0, 0.6),
+        (50.0, 30.0, 20.0, uncalibrated, 20.0, 0.6),
+        (0.0, 30.0, 60.0, uncalibrated, 5.0, 4.0),
+        (0.9, 30.0, 60.0, uncalibrated, 5.0, 4.0),
+        (1.0, 30.0, 60.0, uncalibrated, 25.0, 0.6),
+        (79.5, 80.0, 60.0, uncalibrated, 25.0, 0.6),
+        (80.0, 30.0, 60.0, uncalibrated, 5.0, 4.0),
+        (79.1, 30.0, 60.0, uncalibrated, 5.0, 4.0),
+        (79.0, 30.0, 60.0, uncalibrated, 25.0, 0.6),
+        (0.5, 0.0, 60.0, uncalibrated, 25.0, 0.6),
+    ] {
+        let mut rig = GripRig::enabled_at(true, from_mm);
+        rig.send(mode::MOVE, |command| {
+            command.position = (20.0 * to_mm) as u16;
+            (command.speed, command.flags) = ((4.0 * requested_mm_s) as u8, flags);
+        });
+        let expected = Setpoint::Position { opening_mm: to_mm, speed_mm_s, max_a };
+        assert_eq!(rig.setpoint(), expected, "{from_mm} {to_mm}");
+        // An unknown opening is at no end.
+        rig.rest(None, 0.0);
+        let expected = match flags {
+            0 => expected,
+            _ => Setpoint::Position {
+                opening_mm: to_mm,
+                speed_mm_s: f32::min(requested_mm_s, 25.0),
+                max_a: 0.6,
+            },
+        };
+        assert_eq!(rig.setpoint(), expected, "{from_mm} {to_mm}");
     }
 }
 
 #[test]
 fn release_is_slow_without_valid_forces_or_opening() {
-    let mut grip = enabled(TaskState::Releasing);
-    grip.move_target = MoveTarget { opening_mm: 60.0, speed_mm_s: 20.0, is_uncalibrated: false };
-    let to = |speed_mm_s, max_a| Setpoint::Position { opening_mm: 60.0, speed_mm_s, max_a };
-    assert_eq!(grip.motor_setpoint(&at(30.0)), to(20.0, PEAK_A));
-    assert_speed(grip.motor_setpoint(&MotorStatus::default()), -10.0, 4.0);
-    grip.invalid_ticks = 1;
-    assert_eq!(grip.motor_setpoint(&at(30.0)), to(10.0, 4.0));
-    grip.move_target.speed_mm_s = 4.0;
-    assert_eq!(grip.motor_setpoint(&at(30.0)), to(4.0, 4.0));
-    assert_speed(grip.motor_setpoint(&MotorStatus::default()), -4.0, 4.0);
+    for (is_known, is_valid, requested_mm_s, speed_mm_s, max_a) in [
+        (true, true, 20.0, 20.0, PEAK_A),
+        (true, false, 20.0, 10.0, 4.0),
+        (true, false, 4.0, 4.0, 4.0),
+        (false, true, 20.0, 10.0, 4.0),
+        (false, false, 4.0, 4.0, 4.0),
+    ] {
+        let task = if is_known { TaskState::Idle } else { TaskState::Unhomed };
+        let mut rig = GripRig::in_task(task, true);
+        if !is_valid {
+            rig.corrupt = Some(|estimates| *estimates = [Estimate::MISSING; 4]);
+        }
+        rig.send(mode::RELEASE, |command| {
+            (command.position, command.speed) = (1200, (4.0 * requested_mm_s) as u8);
+        });
+        if is_known {
+            let expected = Setpoint::Position { opening_mm: 60.0, speed_mm_s, max_a };
+            assert_eq!(rig.setpoint(), expected, "{is_valid}");
+        } else {
+            assert_speed(&rig, -speed_mm_s, max_a);
+        }
+    }
 }
 
 #[test]
 fn back_off_opens_to_50_n_and_never_closes() {
-    let mut grip = in_state(PowerState::QuickStop, TaskState::Force, true);
-    grip.backs_off = true;
-    for (force_n, invalid_ticks, closing_mm_s) in [
-        (52.0, 0, -2.0 * PER_N),
-        (40.0, 0, 0.0),
+    for (newtons, is_valid, closing_mm_s) in [
+        (52.0, true, -2.0 * PER_N),
+        (40.0, true, 0.0),
         // Beyond 19.9 mm/s the square root: (8000 * 50 / 333 - 19.894^2)^0.5, at most 58.3 mm/s.
-        (100.0, 0, -28.380),
-        (400.0, 0, -58.3),
-        (400.0, 1, -10.0),
-        (52.0, 1, -2.0 * PER_N),
+        (100.0, true, -28.380),
+        (400.0, true, -58.3),
+        (400.0, false, -10.0),
+        (52.0, false, -2.0 * PER_N),
     ] {
-        (grip.force_n, grip.invalid_ticks) = (force_n, invalid_ticks);
-        assert_speed(grip.motor_setpoint(&at(50.0)), closing_mm_s, PEAK_A);
+        let mut rig = GripRig::enabled(true);
+        rig.tick_pressed(500.0);
+        assert_eq!(rig.grip.power(), PowerState::QuickStop);
+        rig.tick_pressed(newtons);
+        if !is_valid {
+            rig.estimates = Some([Estimate::MISSING; 4]);
+            rig.tick();
+        }
+        assert_speed(&rig, closing_mm_s, PEAK_A);
     }
-    grip.backs_off = false;
-    assert_speed(grip.motor_setpoint(&at(50.0)), 0.0, PEAK_A);
+    // A stop for another reason only stops.
+    let mut rig = GripRig::enabled(true);
+    rig.press(100.0);
+    rig.stop_all();
+    assert_speed(&rig, 0.0, PEAK_A);
+}
+
+/// An approach with 100 N; `speed` in 0.25 mm/s, 0 for the fastest.
+fn approaching(flags: u8, speed: u8) -> GripRig {
+    let mut rig = GripRig::enabled_at(true, 60.0);
+    rig.send(mode::GRIP, |command| {
+        // Its window, if the flags give one, is around 35 mm.
+        (command.position, command.force) = (700, 1000);
+        (command.speed, command.flags) = (speed, flags);
+    });
+    rig
 }
 
 #[test]
 fn approach_slows_down_two_millimetres_before_its_window() {
-    let mut grip = enabled(TaskState::Approach);
-    // (0.1 * 100 N + 2 N) / (333 N/mm * 2.5 ms).
-    let slow_mm_s = 14.414;
-    assert_speed(grip.motor_setpoint(&at(60.0)), slow_mm_s, PEAK_A);
-    grip.target.window = Some(WidthWindow { min_mm: 31.0, max_mm: 39.0 });
-    assert_speed(grip.motor_setpoint(&at(60.0)), slow_mm_s, PEAK_A);
-    grip.target.is_fast = true;
-    let moving = |opening_mm, closing_mm_s| MotorStatus { closing_mm_s, ..at(opening_mm) };
-    assert_speed(grip.motor_setpoint(&moving(60.0, 0.0)), 58.3, PEAK_A);
-    assert_speed(grip.motor_setpoint(&moving(41.1, 0.0)), 58.3, PEAK_A);
-    assert_speed(grip.motor_setpoint(&moving(41.0, 0.0)), slow_mm_s, PEAK_A);
-    // 4 ms ahead: 41.3 mm - 0.2 mm, and 41.2 mm - 0.4 mm.
-    assert_speed(grip.motor_setpoint(&moving(41.3, 50.0)), 58.3, PEAK_A);
-    assert_speed(grip.motor_setpoint(&moving(41.2, 100.0)), slow_mm_s, PEAK_A);
-    grip.target.max_mm_s = 5.0;
-    assert_speed(grip.motor_setpoint(&at(60.0)), 5.0, PEAK_A);
+    // 31 to 39 mm.
+    let (window, fast) = (3 << 2, 3 << 2 | flag::FAST);
+    for (flags, speed, opening_mm, closing_mm_s, expected_mm_s) in [
+        (0, 0, 60.0, 0.0, SLOW_MM_S),
+        (window, 0, 60.0, 0.0, SLOW_MM_S),
+        (fast, 0, 60.0, 0.0, 58.3),
+        (fast, 0, 41.1, 0.0, 58.3),
+        (fast, 0, 41.0, 0.0, SLOW_MM_S),
+        // 4 ms ahead: 41.3 mm - 0.2 mm, and 41.2 mm - 0.4 mm.
+        (fast, 0, 41.3, 50.0, 58.3),
+        (fast, 0, 41.2, 100.0, SLOW_MM_S),
+        (fast, 20, 60.0, 0.0, 5.0),
+    ] {
+        let mut rig = approaching(flags, speed);
+        rig.moving(opening_mm, closing_mm_s, 0.3);
+        assert_speed(&rig, expected_mm_s, PEAK_A);
+    }
 }
 
 #[test]
-fn suspected_contact_ends_the_approach_by_force() {
-    let mut grip = enabled(TaskState::Approach);
-    grip.contact.update(6.0, &GripLimits::GRIPPER);
-    grip.force_n = 90.0;
-    assert_speed(grip.motor_setpoint(&at(60.0)), 10.0 * PER_N, PEAK_A);
-    grip.force_n = 105.0;
-    assert_speed(grip.motor_setpoint(&at(60.0)), -5.0 * PER_N, PEAK_A);
-    grip.force_n = 6.0;
-    assert_speed(grip.motor_setpoint(&at(60.0)), 14.414, PEAK_A);
+fn force_ends_the_approach_and_is_controlled_after_it() {
+    for (newtons, speed, closing_mm_s) in
+        [(90.0, 0, 10.0 * PER_N), (105.0, 0, -5.0 * PER_N), (6.0, 0, SLOW_MM_S), (90.0, 20, 5.0)]
+    {
+        let mut rig = approaching(0, speed);
+        rig.press(newtons);
+        // Suspected in the first millisecond, confirmed in the second.
+        for task in [TaskState::Approach, TaskState::Force] {
+            rig.rest(60.0, 0.3);
+            assert_eq!(rig.grip.task(), task);
+            assert_speed(&rig, closing_mm_s, PEAK_A);
+        }
+    }
 }
 
 #[test]
 fn force_control_assumes_at_least_50_n_per_mm() {
-    let mut grip = enabled(TaskState::Force);
-    grip.force_n = 90.0;
-    assert_speed(grip.motor_setpoint(&at(60.0)), 10.0 * PER_N, PEAK_A);
-    grip.target.max_mm_s = 5.0;
-    assert_speed(grip.motor_setpoint(&at(60.0)), 5.0, PEAK_A);
-    grip.target.max_mm_s = 60.0;
+    let mut rig = approaching(0, 0);
     // A force that falls while closing gives the softest estimate, 5 N/mm.
-    for tick in 0_u8..100 {
-        grip.stiffness.update(0.01 * f32::from(tick), -30.0 * f32::from(tick));
+    for tick in 0_u8..20 {
+        rig.press(97.0 - 2.0 * f64::from(tick));
+        rig.rest(50.0 - 0.1 * f32::from(tick), 0.3);
     }
-    assert!((grip.stiffness() - 5.0).abs() < 1e-3);
-    grip.force_n = 99.0;
+    rig.press(99.0);
+    rig.rest(48.1, 0.3);
+    assert_eq!((rig.grip.task(), rig.grip.stiffness()), (TaskState::Force, 5.0));
     // 2 pi 32 / 50.
-    assert_speed(grip.motor_setpoint(&at(60.0)), 4.0212, PEAK_A);
+    assert_speed(&rig, 4.0212, PEAK_A);
 }
 
 #[test]
 fn hold_controls_the_mean_force_within_the_tolerance() {
-    let mut grip = enabled(TaskState::HoldActive);
     // Set-point, force and mean force, all in newtons; beyond the deadband, and four times slower within the tolerance.
     for (setpoint_n, force_n, mean_n, beyond_n) in [
         (100.0, 99.0, 98.7, 0.25 * 1.0),
@@ -191,27 +197,14 @@ fn hold_controls_the_mean_force_within_the_tolerance() {
         // Of 10 N: tolerance 2 N, deadband 0.3 N.
         (10.0, 9.0, 9.5, 0.25 * 0.2),
     ] {
-        (grip.setpoint_n, grip.force_n, grip.mean_n) = (setpoint_n, force_n, mean_n);
-        grip.target.setpoint_n = setpoint_n;
-        let found = grip.motor_setpoint(&at(40.0));
-        assert_speed(found, beyond_n * PER_N, PEAK_A);
+        let mut rig = GripRig::gripped(setpoint_n, false, TaskState::HoldActive);
+        // The mean follows by a sixteenth.
+        rig.settle((16.0 * mean_n - force_n) / 15.0);
+        rig.press(force_n);
+        rig.rest(40.0, 0.0);
+        assert_eq!(rig.grip.task(), TaskState::HoldActive);
+        assert_speed(&rig, beyond_n * PER_N, PEAK_A);
     }
-}
-
-/// Current limit after 300 ms of a constant mean force error.
-fn hold_limit_a(setpoint_n: f32, mean_n: f32) -> f32 {
-    let mut grip = enabled(TaskState::HoldActive);
-    (grip.setpoint_n, grip.force_n, grip.mean_n) = (setpoint_n, setpoint_n, mean_n);
-    let motor = MotorStatus { current_setpoint: Dq { d: 0.0, q: -3.0 }, ..at(40.0) };
-    let mut limit_a = 0.0;
-    for _ in 0..300 {
-        match grip.motor_setpoint(&motor) {
-            Setpoint::Speed { max_a, .. } => limit_a = max_a,
-            other => panic!("{other:?}"),
-        }
-    }
-    assert_eq!(grip.hold_a, 3.0);
-    limit_a
 }
 
 #[test]
@@ -227,25 +220,14 @@ fn holding_current_decreases_within_one_and_a_half_deadbands() {
         (250.0, 250.7, true),
         (250.0, 250.8, false),
     ] {
-        let limit_a = hold_limit_a(setpoint_n, mean_n);
+        let mut rig = GripRig::gripped(setpoint_n, false, TaskState::HoldActive);
+        rig.motor.current_setpoint = Dq { d: 0.0, q: -3.0 };
+        rig.settle(mean_n);
+        for _ in 0..300 {
+            rig.rest(40.0, 0.0);
+        }
+        let (_, limit_a) = rig.speed();
         assert_eq!(limit_a < PEAK_A, decreases, "{setpoint_n} {mean_n}: {limit_a}");
-    }
-}
-
-#[test]
-fn current_of_a_latched_hold_ends_after_20_ms() {
-    let mut grip = enabled(TaskState::HoldLatched);
-    grip.hold_a = 2.0;
-    for (task_ms, closing_a) in [(0, 2.0), (5, 1.5), (19, 0.1)] {
-        grip.task_ms = task_ms;
-        let Setpoint::Current { closing_a: found } = grip.motor_setpoint(&at(40.0)) else {
-            panic!("{task_ms}");
-        };
-        assert!((found - closing_a).abs() < 1e-6, "{task_ms}: {found}");
-    }
-    for task_ms in [20, 21, 1000] {
-        grip.task_ms = task_ms;
-        assert_eq!(grip.motor_setpoint(&at(40.0)), Setpoint::Off);
     }
 }
 
@@ -253,83 +235,102 @@ fn current_of_a_latched_hold_ends_after_20_ms() {
 fn resting_states_hold_their_position() {
     use TaskState::{GripFailed, HoldFrozen, Idle, Lost, NoObject, TimeoutHold};
     for task in [Idle, NoObject, GripFailed, Lost, TimeoutHold, HoldFrozen] {
-        let mut grip = in_state(PowerState::Enabled, task, false);
-        grip.hold_a = 2.5;
-        let max_a = if task == HoldFrozen { 2.5 } else { PEAK_A };
-        assert_speed(grip.motor_setpoint(&at(40.0)), 0.0, max_a);
-        grip.hold_mm = Some(39.5);
-        let expected = Setpoint::Position { opening_mm: 39.5, speed_mm_s: 5.0, max_a };
-        assert_eq!(grip.motor_setpoint(&at(40.0)), expected, "{task:?}");
-        assert_speed(grip.motor_setpoint(&MotorStatus::default()), 0.0, max_a);
+        let mut rig = GripRig::in_task(task, false);
+        // A frozen hold has the last current with which the force was held: here of an ideal motor, none.
+        let max_a = if task == HoldFrozen { 0.0 } else { PEAK_A };
+        rig.run(30);
+        let opening_mm = rig.true_mm;
+        let Setpoint::Position { opening_mm: held_mm, speed_mm_s, max_a: held_a } = rig.setpoint()
+        else {
+            panic!("{task:?} {:?}", rig.setpoint());
+        };
+        assert_eq!((rig.grip.task(), speed_mm_s, held_a), (task, 5.0, max_a));
+        assert!((held_mm - opening_mm).abs() < 0.01, "{task:?} {held_mm} {opening_mm}");
+        rig.rest(None, 0.0);
+        assert_speed(&rig, 0.0, max_a);
     }
-    let mut frozen = enabled(HoldFrozen);
-    assert_eq!(frozen.motor_setpoint(&at(40.0)), Setpoint::Off);
     for task in [TaskState::ContactStop, TaskState::Stopping] {
-        assert_speed(enabled(task).motor_setpoint(&at(40.0)), 0.0, PEAK_A);
+        assert_speed(&GripRig::in_task(task, false), 0.0, PEAK_A);
     }
-    assert_eq!(enabled(TaskState::Unhomed).motor_setpoint(&at(40.0)), Setpoint::Off);
+    assert_eq!(GripRig::in_task(TaskState::Unhomed, false).setpoint(), Setpoint::Off);
 }
 
 #[test]
-fn disabled_gripper_holds_a_load_only_on_a_backdrivable_screw() {
-    for self_locking in [true, false] {
-        let mut grip = in_state(PowerState::Armed, TaskState::HoldActive, self_locking);
-        assert_eq!(grip.motor_setpoint(&at(40.0)), Setpoint::Off);
-        (grip.is_gripped, grip.force_n, grip.hold_mm) = (true, 100.0, Some(40.0));
-        if self_locking {
-            assert_eq!(grip.motor_setpoint(&at(40.0)), Setpoint::Off);
-            continue;
+fn load_on_a_backdrivable_screw_is_held_without_force_control() {
+    // Frozen with the last current, disabled with at least 1.4 times the computed one.
+    // Screw B: 100 N * 1.0227 mm/rad * (1 - 0.5649) / 0.1 N m/A = 0.44503 A.
+    for (hold_a, disabled_a) in [(0.1, 0.623_05), (2.0, 2.0)] {
+        let held = || {
+            let mut rig = GripRig::gripped(100.0, false, TaskState::HoldActive);
+            rig.motor.current_setpoint = Dq { d: 0.0, q: hold_a };
+            rig.rest(40.0, 0.0);
+            rig
+        };
+        let mut rig = held();
+        rig.estimates = Some([Estimate::MISSING; 4]);
+        while rig.grip.task() != TaskState::HoldFrozen {
+            rig.rest(40.0, 0.0);
         }
-        // Screw B: 100 N * 1.0227 mm/rad * (1 - 0.5649) / 0.1 N m/A = 0.44503 A, times 1.4.
-        for (hold_a, max_a) in [(0.1, 0.623_05), (2.0, 2.0)] {
-            grip.hold_a = hold_a;
-            let Setpoint::Position { opening_mm, speed_mm_s, max_a: found } =
-                grip.motor_setpoint(&at(40.0))
-            else {
-                panic!("no position");
-            };
-            assert_eq!((opening_mm, speed_mm_s), (40.0, 5.0));
-            assert!((found - max_a).abs() < 1e-4, "{found}");
+        let expected = Setpoint::Position { opening_mm: 40.0, speed_mm_s: 5.0, max_a: hold_a };
+        assert_eq!(rig.setpoint(), expected);
+        let mut rig = held();
+        rig.stop_all();
+        for _ in 0..100 {
+            rig.rest(40.0, 0.0);
         }
+        assert_eq!(rig.grip.power(), PowerState::Armed);
+        let (closing_mm_s, max_a) = rig.speed();
+        assert_eq!(closing_mm_s, 0.0);
+        assert!((max_a - disabled_a).abs() < 1e-4, "{max_a} instead of {disabled_a}");
     }
 }
 
 #[test]
-fn foot_has_one_ampere_on_a_backdrivable_screw() {
-    for power in [PowerState::Enabled, PowerState::Armed, PowerState::QuickStop] {
-        let mut grip = in_state(power, TaskState::Foot, true);
-        assert_eq!(grip.motor_setpoint(&at(0.5)), Setpoint::Off);
-        grip = in_state(power, TaskState::Foot, false);
-        grip.hold_mm = Some(0.5);
-        let expected = Setpoint::Position { opening_mm: 0.5, speed_mm_s: 5.0, max_a: 1.0 };
-        assert_eq!(grip.motor_setpoint(&at(0.5)), expected, "{power:?}");
+fn disabled_drive_is_off_without_a_load_or_on_a_self_locking_screw() {
+    for (task, self_locking) in
+        [(TaskState::HoldActive, true), (TaskState::Idle, true), (TaskState::Idle, false)]
+    {
+        let mut rig = GripRig::in_task(task, self_locking);
+        rig.stop_all();
+        rig.run(100);
+        assert_eq!((rig.grip.power(), rig.setpoint()), (PowerState::Armed, Setpoint::Off));
     }
 }
 
 #[test]
 fn windings_are_shorted_only_by_the_reaction_brake() {
-    for power in [PowerState::FaultReaction, PowerState::Fault] {
-        let mut grip = in_state(power, TaskState::HoldActive, false);
-        for (reaction, expected) in [
-            (Reaction::Brake, Setpoint::Brake),
-            (Reaction::Off, Setpoint::Off),
-            (Reaction::Warn, Setpoint::Off),
-        ] {
-            grip.reaction = reaction;
-            assert_eq!(grip.motor_setpoint(&at(40.0)), expected);
+    for (trip, expected) in [(Trip::OverSpeed, Setpoint::Brake), (Trip::OverCurrent, Setpoint::Off)]
+    {
+        let mut rig = GripRig::holding(false);
+        rig.motor.state = MotorState::Tripped(trip);
+        for power in [PowerState::FaultReaction, PowerState::Fault] {
+            rig.tick();
+            assert_eq!((rig.grip.power(), rig.setpoint()), (power, expected), "{trip:?}");
+            rig.run(300);
         }
     }
-    for power in [PowerState::Boot, PowerState::SelfTest, PowerState::Safe, PowerState::ArmPending]
-    {
-        let mut grip = in_state(power, TaskState::HoldActive, false);
-        assert_eq!(grip.motor_setpoint(&at(40.0)), Setpoint::Off);
-    }
+    // No fault of the table, but a failed self-test.
+    let mut rig = GripRig::new(false);
+    rig.is_sound = Some(false);
+    rig.run(5);
+    assert_eq!((rig.grip.power(), rig.setpoint()), (PowerState::Fault, Setpoint::Off));
 }
 
 #[test]
-fn holding_current_of_a_rig_is_that_of_its_motor() {
-    let mut rig = GripRig::holding(false);
-    rig.motor.current_setpoint = Dq { d: 0.0, q: 1.75 };
-    rig.tick();
-    assert_eq!(rig.grip.hold_a, 1.75);
+fn foot_has_one_ampere_on_a_backdrivable_screw() {
+    for self_locking in [true, false] {
+        let mut rig = GripRig::foot(self_locking);
+        let is_off = |rig: &GripRig| rig.setpoint() == Setpoint::Off;
+        rig.run(10);
+        let held = Setpoint::Position { opening_mm: 0.5, speed_mm_s: 5.0, max_a: 1.0 };
+        assert_eq!(rig.setpoint(), if self_locking { Setpoint::Off } else { held });
+        rig.stop_all();
+        for power in [PowerState::QuickStop, PowerState::Armed] {
+            assert_eq!((rig.grip.power(), is_off(&rig)), (power, self_locking));
+            if !self_locking {
+                assert_speed(&rig, 0.0, 1.0);
+            }
+            rig.run(100);
+        }
+    }
 }
