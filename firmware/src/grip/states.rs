@@ -225,6 +225,9 @@ mod tests {
                 _ => GripPhase::Moving,
             };
             assert_eq!(task.phase(true), phase, "{task:?}");
+            // Without a settled force the grip has not begun.
+            let unsettled = if *task == Force { GripPhase::Moving } else { phase };
+            assert_eq!(task.phase(false), unsettled, "{task:?}");
         }
     }
 }

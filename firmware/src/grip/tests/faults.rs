@@ -2,12 +2,11 @@
 
 use crate::config::constants;
 use crate::config::limits::GripLimits;
-use crate::estimator::Estimate;
 use crate::fixed_point::Force;
 use crate::grip::commands::{CommandRefusal, RefusalReason, mode};
 use crate::grip::fault_reactions::{REACTION_TABLE, Reaction};
-use crate::grip::states::{GripPhase, PowerState, TaskState};
-use crate::grip::tests::rig::{GripRig, pressed};
+use crate::grip::states::{PowerState, TaskState};
+use crate::grip::tests::rig::GripRig;
 use crate::motor::state::SupplyState;
 use crate::motor::{MotorState, Setpoint, Trip};
 use crate::protocol::messages::ServiceReply;
@@ -87,9 +86,7 @@ fn trip_is_latched_until_cleared_and_armed_again() {
         (PowerState::Fault, Some(RefusalReason::NotEnabled))
     );
     rig.host.is_open = false;
-    rig.clear = true;
-    rig.run(1);
-    rig.clear = false;
+    rig.clear_faults();
     rig.run(1000);
     assert_eq!(rig.grip.power(), PowerState::Safe);
     rig.arm();
@@ -120,22 +117,6 @@ fn quick_stop_blocks_enabling_until_cleared() {
     rig.clear = true;
     rig.send(mode::ENABLE, |_| {});
     assert_eq!(rig.grip.power(), PowerState::Enabled);
-}
-
-#[test]
-fn lost_forces_switch_off_or_hold_by_screw() {
-    for self_locking in [true, false] {
-        let mut rig = GripRig::holding(self_locking);
-        rig.corrupt = Some(|estimates| *estimates = [Estimate::MISSING; 4]);
-        rig.run(102);
-        let place = rig.motor.opening_mm;
-        // Nothing is latched: the object can be released.
-        assert_eq!(rig.grip.power(), PowerState::Enabled);
-        assert_eq!(rig.grip.task(), TaskState::HoldFrozen);
-        assert_eq!(rig.setpoint() == Setpoint::Off, self_locking);
-        rig.run(1000);
-        assert_eq!(rig.motor.opening_mm, place);
-    }
 }
 
 #[test]
@@ -177,13 +158,6 @@ fn unsound_tables_prevent_arming() {
 
 const LIMITS: GripLimits = GripLimits::GRIPPER;
 
-/// Detail of a fault that became active in the last tick.
-fn new_fault(rig: &GripRig, fault: Fault) -> Option<u32> {
-    let events = &rig.outputs.as_ref().unwrap().events;
-    let mut of_fault = events.iter().filter(|event| event.code == fault as u16);
-    of_fault.find_map(|event| (event.active == 1).then_some(event.detail))
-}
-
 #[test]
 fn supply_and_heat_faults_need_an_armed_motor() {
     for is_armed in [true, false] {
@@ -196,56 +170,36 @@ fn supply_and_heat_faults_need_an_armed_motor() {
         rig.motor.bus_v = 15.5;
         rig.motor.is_hot = true;
         rig.tick();
-        assert_eq!(new_fault(&rig, Fault::Supply), is_armed.then_some(15_500));
-        assert_eq!(new_fault(&rig, Fault::Hot), is_armed.then_some(0));
+        assert_eq!(rig.new_fault(Fault::Supply), is_armed.then_some(15_500));
+        assert_eq!(rig.new_fault(Fault::Hot), is_armed.then_some(0));
     }
-}
-
-/// Applies a force to both fingers.
-fn with_force(rig: &mut GripRig, newtons: f64) {
-    let half = 0.5 * newtons;
-    rig.estimates = Some(pressed([half, half, -half, -half], [0.0; 4]));
 }
 
 #[test]
 fn over_force_fault_above_450_n_has_force_detail() {
     let mut rig = GripRig::enabled(true);
-    with_force(&mut rig, 450.0);
+    rig.press(450.0);
     rig.run(3);
-    assert_eq!(new_fault(&rig, Fault::OverForce), None);
+    assert_eq!(rig.new_fault(Fault::OverForce), None);
     assert_ne!(rig.grip.power(), PowerState::Fault);
-    with_force(&mut rig, 451.0);
+    rig.press(451.0);
     rig.tick();
-    assert_eq!(new_fault(&rig, Fault::OverForce), Some((451.0 * Force::PER_NEWTON) as u32));
-}
-
-#[test]
-fn overload_fault_occurs_only_in_foot_mode() {
-    // On one fingertip.
-    let overload = f64::from(LIMITS.overload_n) + 2.0;
-    let loaded = |mut rig: GripRig| {
-        rig.estimates = Some(pressed([0.0; 4], [overload, 0.0, 0.0, 0.0]));
-        rig.tick();
-        new_fault(&rig, Fault::FootOverload).is_some()
-    };
-    assert!(loaded(GripRig::foot(true)));
-    assert!(!loaded(GripRig::enabled(true)));
-    assert!((LIMITS.overload_n - 217.5).abs() < 1e-3);
+    assert_eq!(rig.new_fault(Fault::OverForce), Some((451.0 * Force::PER_NEWTON) as u32));
 }
 
 /// Ticks until an opening is rejected, with a force on the fingers.
 fn rejected_after(opening_mm: f32, newtons: f64) -> Option<u32> {
-    let mut rig = GripRig::enabled(true);
+    let mut rig = GripRig::new(true);
     rig.run(3);
-    with_force(&mut rig, newtons);
+    rig.press(newtons);
     rig.run(1);
     rig.motor.opening_mm = Some(opening_mm);
     (1..20).find(|_| {
         rig.tick();
-        let detail = new_fault(&rig, Fault::StrokeWrong);
+        let detail = rig.new_fault(Fault::StrokeWrong);
         assert_eq!(rig.motor.opening_mm.is_none(), detail.is_some());
-        // In micrometres; the opening changes meanwhile.
-        let is_near = |detail: u32| (1e-3 * detail as f32 - opening_mm.abs()).abs() < 0.5;
+        // In micrometres.
+        let is_near = |detail: u32| (1e-3 * detail as f32 - opening_mm.abs()).abs() < 2e-3;
         assert!(detail.is_none_or(is_near), "{detail:?}");
         detail.is_some()
     })
@@ -254,10 +208,10 @@ fn rejected_after(opening_mm: f32, newtons: f64) -> Option<u32> {
 #[test]
 fn implausible_opening_becomes_unknown_after_3_ms() {
     let stroke = constants::STROKE.value as f32;
-    assert_eq!(rejected_after(stroke + 0.9, 0.0), Some(3));
+    assert_eq!(rejected_after(stroke + 0.81, 0.0), Some(3));
     assert_eq!(rejected_after(stroke + 0.7, 0.0), None);
     assert_eq!(rejected_after(stroke + 0.8, 0.0), None);
-    assert_eq!(rejected_after(-0.9, 0.0), Some(3));
+    assert_eq!(rejected_after(-0.81, 0.0), Some(3));
     assert_eq!(rejected_after(-0.7, 0.0), None);
     assert_eq!(rejected_after(-0.8, 0.0), None);
     // Fingers that press on each other deflect.
@@ -268,19 +222,6 @@ fn implausible_opening_becomes_unknown_after_3_ms() {
 }
 
 #[test]
-fn overtravel_of_exactly_0_8_mm_is_plausible() {
-    let stroke = constants::STROKE.value as f32;
-    for (opening_mm, is_plausible) in
-        [(-0.8, true), (-0.81, false), (stroke + 0.8, true), (stroke + 0.81, false)]
-    {
-        let mut rig = GripRig::new(true);
-        rig.motor.opening_mm = Some(opening_mm);
-        rig.run(10);
-        assert_eq!(rig.motor.opening_mm.is_some(), is_plausible, "{opening_mm}");
-    }
-}
-
-#[test]
 fn homing_accepts_any_opening() {
     let mut rig = GripRig::enabled(true);
     rig.send(mode::HOME, |_| {});
@@ -288,17 +229,8 @@ fn homing_accepts_any_opening() {
     rig.motor.opening_mm = Some(constants::STROKE.value as f32 + 5.0);
     for _ in 0..10 {
         rig.tick();
-        assert_eq!(new_fault(&rig, Fault::StrokeWrong), None);
+        assert_eq!(rig.new_fault(Fault::StrokeWrong), None);
     }
-}
-
-#[test]
-fn external_fault_causes_its_reaction() {
-    let mut rig = GripRig::enabled(true);
-    rig.fault(Fault::OverSpeed, true);
-    rig.motor.state = MotorState::Tripped(Trip::OverSpeed);
-    rig.tick();
-    assert_eq!(rig.setpoint(), Setpoint::Brake);
 }
 
 fn may_arm(rig: &GripRig) -> bool {
@@ -334,13 +266,6 @@ fn refusal_detail_has_reason_state_and_mode() {
     assert_eq!((mode::GRIP, reply.detail, reply.extra), (4, detail, 0));
     assert_ne!(reply, ServiceReply::default());
     assert_ne!(RefusalReason::NotEnabled as u32, 0);
-}
-
-#[test]
-fn force_state_is_holding_once_settled() {
-    assert_eq!(TaskState::Force.phase(true), GripPhase::Holding);
-    assert_eq!(TaskState::Force.phase(false), GripPhase::Moving);
-    assert_eq!(TaskState::Approach.phase(true), GripPhase::Moving);
 }
 
 #[test]

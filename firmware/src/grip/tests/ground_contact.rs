@@ -33,18 +33,6 @@ fn foot_mode_requires_parked_and_unloaded_fingers() {
 }
 
 #[test]
-fn line_foot_is_at_half_the_stroke() {
-    let mut rig = GripRig::enabled_at(false, 41.5);
-    rig.run(20);
-    rig.send(mode::FOOT, |command| command.flags = 0x40);
-    assert_eq!(rig.refused, [RefusalReason::NotParked]);
-    let mut rig = GripRig::enabled_at(false, 40.5);
-    rig.run(20);
-    rig.send(mode::FOOT, |command| command.flags = 0x40);
-    assert_eq!(rig.grip.task(), TaskState::Foot);
-}
-
-#[test]
 fn foot_mode_reports_contacts_without_a_host() {
     let mut rig = GripRig::foot(true);
     rig.host.is_alive = false;

@@ -19,68 +19,33 @@ fn close(command: &mut Command) {
     (command.position, command.speed) = (0, 80);
 }
 
-/// A gripper in each state that a host or a fault can bring about, except foot mode; the name is for messages.
-fn situations(self_locking: bool) -> Vec<(&'static str, GripRig)> {
-    let with = |name, prepare: &dyn Fn(&mut GripRig)| {
-        let mut rig = GripRig::enabled(self_locking);
-        prepare(&mut rig);
-        (name, rig)
-    };
-    let object = Some((40.0, 50.0));
-    std::vec![
-        with("idle", &|_| {}),
-        with("moving", &|rig| {
-            rig.send(mode::MOVE, close);
-            rig.run(50);
-        }),
-        with("homing", &|rig| {
-            rig.send(mode::HOME, |_| {});
-            rig.run(50);
-        }),
-        with("contact stop", &|rig| {
-            rig.object = object;
-            rig.send(mode::MOVE, close);
-            rig.run_until(TaskState::ContactStop);
-        }),
-        with("approach", &|rig| {
-            rig.send(mode::GRIP, |command| command.force = 500);
-            rig.run(50);
-        }),
-        with("force", &|rig| {
-            rig.object = object;
-            rig.send(mode::GRIP, |command| command.force = 1000);
-            rig.run_until(TaskState::Force);
-        }),
-        ("holding", GripRig::holding(self_locking)),
-        with("stopping", &|rig| {
-            rig.send(mode::MOVE, close);
-            rig.run(50);
-            rig.send(mode::STOP, |_| {});
-        }),
-        with("disabled", &|rig| {
-            rig.send(mode::DISABLE, |_| {});
-            rig.run(5);
-        }),
-        with("opening unknown", &|rig| {
-            rig.motor.opening_mm = None;
-            rig.send(mode::DISABLE, |_| {});
-            rig.run(5);
-            rig.send(mode::ENABLE, |_| {});
-        }),
-    ]
+/// A gripper in each state that a host or a fault can bring about, except foot mode.
+fn situations(self_locking: bool) -> Vec<GripRig> {
+    let tasks = TaskState::ALL.iter().copied();
+    let tasks = tasks.filter(|task| match task {
+        TaskState::Foot => false,
+        TaskState::HoldLatched => self_locking,
+        _ => true,
+    });
+    let mut rigs: Vec<_> = tasks.map(|task| GripRig::in_task(task, self_locking)).collect();
+    let mut disabled = GripRig::enabled(self_locking);
+    disabled.send(mode::DISABLE, |_| {});
+    rigs.push(disabled);
+    rigs
 }
 
 #[test]
 fn release_opens_from_every_state_under_every_fault_that_allows_it() {
-    for row in REACTION_TABLE {
-        if row.reaction(GripPhase::Releasing, true) >= Reaction::QuickStop {
-            continue;
-        }
-        for (self_locking, is_blind) in [(true, true), (true, false), (false, true), (false, false)]
-        {
-            for (name, mut rig) in situations(self_locking) {
+    let rows = REACTION_TABLE.into_iter();
+    let allows = rows.filter(|row| row.reaction(GripPhase::Releasing, true) < Reaction::QuickStop);
+    let faults: Vec<_> = allows.map(|row| row.fault).collect();
+    for situation in [true, false].into_iter().flat_map(situations) {
+        let state = (situation.grip.power(), situation.grip.task());
+        for fault in &faults {
+            for is_blind in [true, false] {
+                let mut rig = situation.clone();
                 let from_mm = rig.true_mm;
-                rig.fault(row.fault, true);
+                rig.fault(*fault, true);
                 if is_blind {
                     rig.corrupt = Some(|estimates| *estimates = [Estimate::MISSING; 4]);
                 }
@@ -89,12 +54,7 @@ fn release_opens_from_every_state_under_every_fault_that_allows_it() {
                 rig.send(mode::RELEASE, open);
                 rig.run(3000);
                 let opened_mm = rig.true_mm - from_mm;
-                assert!(
-                    opened_mm > 10.0,
-                    "{:?} {name}: {opened_mm} mm, {:?}",
-                    row.fault,
-                    rig.refused
-                );
+                assert!(opened_mm > 10.0, "{fault:?} {state:?}: {opened_mm} mm {:?}", rig.refused);
             }
         }
     }
@@ -227,9 +187,7 @@ fn stop_is_latched_until_cleared_at_rest() {
         rig.send(mode, open);
     }
     assert_eq!(rig.refused, [RefusalReason::Stopped; 2]);
-    rig.clear = true;
-    rig.tick();
-    rig.clear = false;
+    rig.clear_faults();
     rig.send(mode::ENABLE, |_| {});
     assert_eq!(rig.grip.power(), PowerState::Enabled);
 }
@@ -239,9 +197,7 @@ fn a_stopped_foot_stays_a_foot() {
     for self_locking in [true, false] {
         let mut rig = GripRig::foot(self_locking);
         rig.estimates = Some(crate::grip::tests::rig::pressed([0.0; 4], [50.0; 4]));
-        rig.stop = true;
-        rig.tick();
-        rig.stop = false;
+        rig.stop_all();
         rig.run(300);
         assert_eq!(rig.setpoint() == Setpoint::Off, self_locking);
         // A backdrivable screw carries the robot without a host.
@@ -252,9 +208,7 @@ fn a_stopped_foot_stays_a_foot() {
             rig.arm();
         }
         rig.host.is_open = true;
-        rig.clear = true;
-        rig.tick();
-        rig.clear = false;
+        rig.clear_faults();
         for mode in [mode::RELEASE, mode::ENABLE, mode::MOVE, mode::RELEASE, mode::LEAVE] {
             rig.send(mode, open);
         }
@@ -360,13 +314,9 @@ fn enable_after_a_stop_does_not_continue_a_move() {
     let mut rig = GripRig::enabled(true);
     rig.send(mode::MOVE, close);
     rig.run(50);
-    rig.stop = true;
-    rig.tick();
-    rig.stop = false;
+    rig.stop_all();
     rig.run(300);
-    rig.clear = true;
-    rig.tick();
-    rig.clear = false;
+    rig.clear_faults();
     let from_mm = rig.true_mm;
     rig.send(mode::ENABLE, |_| {});
     assert_eq!(rig.grip.task(), TaskState::Idle);

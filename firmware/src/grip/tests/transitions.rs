@@ -1,7 +1,7 @@
 //! Transitions of both state machines: the tables, typical sequences, and random inputs.
 
 use crate::grip::commands::{RefusalReason, mode};
-use crate::grip::states::{PowerState, TaskState, state_code};
+use crate::grip::states::{PowerState, TaskState};
 use crate::grip::tests::rig::GripRig;
 use crate::grip::transitions::{
     POWER_TRANSITIONS, PowerEvent, TASK_TRANSITIONS, TaskEvent, next_power_state, next_task_state,
@@ -69,35 +69,6 @@ fn unlisted_events_are_refused_in_every_state() {
 }
 
 #[test]
-fn enabled_follows_armed_and_fault_leads_to_safe() {
-    let into: Vec<_> =
-        POWER_TRANSITIONS.iter().filter(|row| row.2 == PowerState::Enabled).collect();
-    assert_eq!(into, [&(PowerState::Armed, PowerEvent::Enable, PowerState::Enabled)]);
-    let out: Vec<_> = POWER_TRANSITIONS.iter().filter(|row| row.0 == PowerState::Fault).collect();
-    assert_eq!(out, [&(PowerState::Fault, PowerEvent::Cleared, PowerState::Safe)]);
-    let armed = POWER_TRANSITIONS.iter().filter(|row| row.2 == PowerState::Armed);
-    assert!(armed.into_iter().all(|row| row.0 != PowerState::Fault && row.0 != PowerState::Safe));
-}
-
-#[test]
-fn state_codes_of_both_layers() {
-    assert_eq!(state_code(PowerState::Armed, TaskState::Foot), 4);
-    assert_eq!(state_code(PowerState::Enabled, TaskState::Unhomed), 16);
-    assert_eq!(state_code(PowerState::Enabled, TaskState::TimeoutHold), 32);
-}
-
-#[test]
-fn disarmed_gripper_refuses_commands() {
-    let mut rig = GripRig::new(true);
-    rig.run(10);
-    assert_eq!(rig.grip.power(), PowerState::Safe);
-    rig.send(mode::ENABLE, |_| {});
-    rig.send(mode::GRIP, |command| command.force = 500);
-    assert_eq!(rig.refused, [RefusalReason::NotEnabled; 2]);
-    assert_eq!(rig.setpoint(), Setpoint::Off);
-}
-
-#[test]
 fn expired_nonce_returns_to_safe() {
     let mut rig = GripRig::new(true);
     rig.run(5);
@@ -130,17 +101,13 @@ fn failed_self_test_and_calibration_prevent_arming() {
 fn latched_stop_prevents_a_calibration_until_it_is_cleared() {
     let mut rig = GripRig::new(true);
     rig.run(5);
-    rig.stop = true;
-    rig.run(1);
-    rig.stop = false;
+    rig.stop_all();
     rig.is_calibrating = true;
     rig.run(5);
     assert!(rig.grip.is_stopped());
     assert_eq!(rig.grip.power(), PowerState::Safe);
     rig.is_calibrating = false;
-    rig.clear = true;
-    rig.run(1);
-    rig.clear = false;
+    rig.clear_faults();
     rig.is_calibrating = true;
     rig.run(5);
     assert!(!rig.grip.is_stopped());
@@ -229,48 +196,27 @@ fn contact_during_a_move_stops() {
 
 #[test]
 fn homing_finds_both_ends_and_rejects_a_short_stroke() {
-    let home = |true_mm: f32, stroke_mm: f32| {
-        let mut rig = GripRig::new(true);
-        rig.motor.opening_mm = None;
-        rig.arm();
-        rig.send(mode::ENABLE, |_| {});
-        assert_eq!(rig.grip.task(), TaskState::Unhomed);
+    let home = |stroke_mm: f32| {
+        let mut rig = GripRig::in_task(TaskState::Unhomed, true);
         rig.send(mode::MOVE, |command| (command.position, command.speed) = (200, 80));
         assert_eq!(rig.refused, [RefusalReason::NotHomed]);
+        (rig.true_mm, rig.end_mm) = (12.0, stroke_mm);
+        // The fingers press on each other.
+        rig.object = Some((0.0, 500.0));
         rig.send(mode::HOME, |_| {});
-        let mut true_mm = true_mm;
-        for _ in 0..40_000 {
-            let known_mm = rig.motor.opening_mm;
-            // The rig moves the known opening; the true one is moved here.
-            let closing_mm_s = match rig.setpoint() {
-                Setpoint::Speed { closing_mm_s, .. } => closing_mm_s,
-                _ => 0.0,
-            };
-            let before_mm = true_mm;
-            true_mm = (true_mm - 1e-3 * closing_mm_s).min(stroke_mm);
-            let force_n = (500.0 * -true_mm).max(0.0);
-            let half = f64::from(0.5 * force_n);
-            rig.estimates = Some(crate::grip::tests::rig::pressed([half; 4], [0.0; 4]));
+        while rig.grip.task() == TaskState::Homing {
             rig.tick();
-            rig.motor.closing_mm_s = 1e3 * (before_mm - true_mm);
-            if let (Some(known_mm), None) = (known_mm, rig.outputs.as_ref().unwrap().opening_mm) {
-                rig.motor.opening_mm = Some(known_mm + true_mm - before_mm);
-            }
-            if rig.grip.task() != TaskState::Homing {
-                break;
-            }
         }
         rig
     };
-    let rig = home(12.0, 80.0);
+    let rig = home(80.0);
     assert_eq!(rig.grip.task(), TaskState::Idle);
     assert!((rig.motor.opening_mm.unwrap() - 80.0).abs() < 0.1, "{:?}", rig.motor.opening_mm);
-    let mut rig = home(12.0, 70.0);
+    let mut rig = home(70.0);
     assert_eq!((rig.grip.task(), rig.motor.opening_mm), (TaskState::Unhomed, None));
-    let mut events = rig.outputs.as_ref().unwrap().events.iter();
-    let failed = events.find(|event| event.code == Fault::StrokeWrong as u16).unwrap();
     // The measured stroke in micrometres.
-    assert!((69_900..70_100).contains(&failed.detail), "{failed:?}");
+    let stroke_um = rig.new_fault(Fault::StrokeWrong).unwrap();
+    assert!((69_900..70_100).contains(&stroke_um), "{stroke_um}");
     rig.run(1);
     assert_eq!(rig.grip.first_cause().unwrap().fault, Fault::StrokeWrong);
 }
@@ -451,9 +397,7 @@ fn shorted_windings_stay_until_cleared() {
     assert_eq!(rig.motor.state, MotorState::Tripped(Trip::Encoder));
     assert_eq!(rig.setpoint(), Setpoint::Brake);
     rig.host.is_open = false;
-    rig.clear = true;
-    rig.tick();
-    rig.clear = false;
+    rig.clear_faults();
     rig.run(5);
     assert_eq!((rig.grip.power(), rig.motor.state), (PowerState::Safe, MotorState::Disarmed));
 }
