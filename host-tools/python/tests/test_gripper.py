@@ -22,7 +22,7 @@ def bus(tmp_path_factory):
     """The bus of a homed gripper with an object of 40 mm."""
     if not IMAGE.exists():
         pytest.skip("the image is built by EMULATION=required cargo test -p host-tools")
-    line = [command_path(), "dev", "emulate", str(IMAGE), "--opening", "3", "--object", "40", "--speed", "1"]
+    line = [command_path(), "dev", "emulate", str(IMAGE), "--opening", "3", "--object-width-mm", "40", "--speed", "1"]
     log = tmp_path_factory.mktemp("emulator") / "log"
     with log.open("w") as out:
         emulator = subprocess.Popen(line, stdout=out, stderr=out)

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use analysis::edit_model::parse_formulas;
 use anyhow::{Context, Result, anyhow, bail};
+use clap::ValueEnum;
 use model_export::effects::EffectTerm;
 use model_export::effects::expression::ParameterRange;
 use model_export::fit::FitOptions;
@@ -110,6 +111,39 @@ impl CompareArgs {
         }
         Ok(())
     }
+}
+
+/// A grasped object by its contact stiffness, including the flexures.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum ObjectStiffness {
+    /// Steel between the flexures.
+    Rigid,
+    /// Rubber.
+    Medium,
+    /// Foam.
+    Soft,
+}
+
+impl ObjectStiffness {
+    /// Contact stiffness in N/mm.
+    pub fn contact_n_per_mm(self) -> f64 {
+        match self {
+            Self::Rigid => 333.0,
+            Self::Medium => 50.0,
+            Self::Soft => 5.0,
+        }
+    }
+}
+
+/// Parses the name of a stiffness.
+///
+/// # Errors
+/// There is none; a number is a width, which another option has.
+pub fn parse_object(text: &str) -> Result<ObjectStiffness, String> {
+    ObjectStiffness::from_str(text, false).map_err(|_| match text.parse::<f64>() {
+        Ok(_) => format!("give rigid, medium or soft; the width of an emulated object is --object-width-mm {text}"),
+        Err(_) => "give rigid, medium or soft".to_owned(),
+    })
 }
 
 /// Parses a number within an inclusive range.

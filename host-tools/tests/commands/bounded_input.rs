@@ -235,8 +235,7 @@ fn implausible_numbers_are_refused_by_every_command() {
         ("grasp --position 20", "--from"),
         ("dev emulate", "--seconds"),
         ("dev emulate", "--opening"),
-        ("dev emulate", "--object"),
-        ("dev emulate --object 20", "--stiffness"),
+        ("dev emulate", "--object-width-mm"),
         ("dev emulate", "--speed"),
     ];
     for (command, option) in options {

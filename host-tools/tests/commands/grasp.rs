@@ -100,6 +100,20 @@ fn impossible_targets_are_rejected_with_a_reason() {
 }
 
 #[test]
+fn width_of_an_object_is_an_option_of_its_own() {
+    let dir = WorkDir::empty();
+    for line in ["grasp --force 50 --object 40", "dev emulate --object 40"] {
+        let message = dir.failure(line);
+        assert!(
+            message.contains("the width of an emulated object is --object-width-mm 40"),
+            "{message}"
+        );
+    }
+    let message = dir.failure("dev emulate none.elf --object-width-mm 40 --object soft");
+    assert!(message.contains("none.elf"), "{message}");
+}
+
+#[test]
 fn simulation_options_are_rejected_with_a_real_gripper() {
     let dir = WorkDir::empty();
     for option in [

@@ -39,7 +39,7 @@ struct Cell {
 impl Cell {
     fn start() -> Result<Self, Failed> {
         let dir = WorkDir::empty();
-        let options = format!("--opening 3 --object 40 {SLOW}");
+        let options = format!("--opening 3 --object-width-mm 40 {SLOW}");
         let emulation = Emulation::start(&dir, &path(Variant::Nominal)?, &options);
         emulation.allow_delays(&dir);
         let cell = Self { dir, emulation };
@@ -444,7 +444,8 @@ pub fn first_home_on_the_default_image_names_the_cure() -> Result<(), Failed> {
 /// A soft object; one that is wider or narrower than expected; one that is taken away.
 pub fn a_grip_that_fails_has_its_reason() -> Result<(), Failed> {
     let dir = WorkDir::empty();
-    let options = format!("--opening 3 --object 40 --stiffness 5 --remove-object 55 {SLOW}");
+    let options =
+        format!("--opening 3 --object-width-mm 40 --object soft --remove-object 55 {SLOW}");
     let emulation = Emulation::start(&dir, &path(Variant::Nominal)?, &options);
     emulation.allow_delays(&dir);
     let cell = Cell { dir, emulation };

@@ -231,7 +231,7 @@ mod unix {
 
     fn stranger() -> Result<(), Failed> {
         let dir = WorkDir::empty();
-        let options = format!("--opening 3 --object 40 {SLOW}");
+        let options = format!("--opening 3 --object-width-mm 40 {SLOW}");
         let emulation = Emulation::start(&dir, &path(Variant::Nominal)?, &options);
         emulation.allow_delays(&dir);
         let mut stranger = TcpStream::connect(&emulation.can)?;
@@ -303,7 +303,7 @@ mod unix {
 
     fn grip() -> Result<(), Failed> {
         let dir = WorkDir::empty();
-        let options = format!("--opening 3 --object 40 {SLOW}");
+        let options = format!("--opening 3 --object-width-mm 40 {SLOW}");
         let emulation = Emulation::start(&dir, &path(Variant::Nominal)?, &options);
         emulation.allow_delays(&dir);
         let unhomed = dir.failure(&format!("grasp --can {} --force 80", emulation.can));
@@ -446,7 +446,8 @@ mod unix {
     fn identification() -> Result<(), Failed> {
         let dir = WorkDir::empty();
         let image = path(Variant::Nominal)?;
-        let emulation = Emulation::start(&dir, &image, &format!("--opening 3 --object 40 {SLOW}"));
+        let emulation =
+            Emulation::start(&dir, &image, &format!("--opening 3 --object-width-mm 40 {SLOW}"));
         emulation.allow_delays(&dir);
         let port = format!("--port {}", emulation.serial);
         // The object is between the fingers once they are open.

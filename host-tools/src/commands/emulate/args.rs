@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use crate::commands::args::{ObjectStiffness, parse_object};
 use crate::commands::connection::parse_seconds;
 
 /// Run the unmodified firmware image in an emulated chip with a simulated gripper.
@@ -11,7 +12,7 @@ Examples:
   # until Ctrl-C; prints its serial line and CAN bus
   cargo magpie dev emulate
   cargo magpie monitor --port /dev/pts/3             # in another terminal, with the printed path
-  cargo magpie dev emulate --object 40 --can-port 29536 --log
+  cargo magpie dev emulate --object-width-mm 40 --can-port 29536 --log
   cargo magpie grasp --can 127.0.0.1:29536 --home --force 80    # in another terminal
   # a virtual CAN interface of Linux: candump, SavvyCAN, ...
   cargo magpie dev emulate --can vcan0
@@ -33,18 +34,18 @@ pub struct Args {
     pub(super) opening: f64,
     /// Width of an object, inserted as soon as the gripper is homed and sufficiently open.
     #[arg(long, value_name = "MM", value_parser = parse_opening)]
-    pub(super) object: Option<f64>,
+    pub(super) object_width_mm: Option<f64>,
     /// Take the object away at this virtual time.
-    #[arg(long, value_name = "S", requires = "object", value_parser = parse_seconds)]
+    #[arg(long, value_name = "S", requires = "object_width_mm", value_parser = parse_seconds)]
     pub(super) remove_object: Option<f64>,
-    /// Contact stiffness including the flexures: 333 is steel, 50 rubber, 5 foam.
-    #[arg(long, value_name = "N_MM", default_value_t = 333.0, requires = "object", value_parser = parse_stiffness)]
-    pub(super) stiffness: f64,
+    /// The object: rigid, medium or soft (333, 50 and 5 N/mm, including the flexures).
+    #[arg(long, value_name = "STIFFNESS", default_value = "rigid", requires = "object_width_mm", value_parser = parse_object)]
+    pub(super) object: ObjectStiffness,
     /// File with the settings of the board (parameters, key, calibrations): read at power-on if it exists, written at the end.
     #[arg(long, value_name = "FILE")]
     pub(super) flash: Option<PathBuf>,
     /// Recording that replaces the simulated sensor readings; the emulation ends with it.
-    #[arg(long, value_name = "RECORDING", requires = "model", conflicts_with_all = ["opening", "object"])]
+    #[arg(long, value_name = "RECORDING", requires = "model", conflicts_with_all = ["opening", "object_width_mm"])]
     pub(super) replay: Option<PathBuf>,
     /// Model of the recording's sensors.
     #[arg(long, value_name = "MODEL", requires = "replay")]
@@ -107,10 +108,4 @@ fn parse_opening(text: &str) -> Result<f64, String> {
     let mm = text.parse().ok();
     let mm = mm.filter(|mm| (MARGIN_MM..=max_mm).contains(mm));
     mm.ok_or_else(|| format!("give {MARGIN_MM} to {max_mm} mm, within the stroke"))
-}
-
-fn parse_stiffness(text: &str) -> Result<f64, String> {
-    let stiffness = text.parse().ok();
-    let stiffness = stiffness.filter(|stiffness| (0.1..=400.0).contains(stiffness));
-    stiffness.ok_or_else(|| "give 0.1 to 400 N/mm".to_owned())
 }

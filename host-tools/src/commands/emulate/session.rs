@@ -62,7 +62,9 @@ pub(super) fn run(args: &Args) -> Result<()> {
     let (can, can_name) = can(args)?;
     let pty = Pty::open().context("no pseudo-terminal available for the serial line")?;
     let parameters = PlantParameters::nominal(Lead::A);
-    let object = args.object.map(|width_mm| contact_object(&parameters, width_mm, args.stiffness));
+    let stiffness = args.object.contact_n_per_mm();
+    let object =
+        args.object_width_mm.map(|width_mm| contact_object(&parameters, width_mm, stiffness));
     let mut emulation = Emulation::new(board, gripper, object, pty, can);
     emulation.remove_object_at = args.remove_object.map(time);
     let setup = Setup { path, length, serial: emulation.serial().to_owned(), can: can_name };

@@ -8,7 +8,7 @@ use firmware::config::constants;
 use sim::closed_loop::landing::FootContact;
 use sim::drivetrain::parameters::Lead;
 
-use crate::commands::args::parse_number;
+use crate::commands::args::{ObjectStiffness, parse_number, parse_object};
 use crate::commands::connection::{PortArgs, parse_seconds};
 
 /// Move, grasp or land with a simulated gripper, or a real or emulated one (--port, --can).
@@ -57,10 +57,11 @@ pub struct Args {
     /// Full speed until close to the window of --width.
     #[arg(long, requires = "width")]
     pub(super) fast: bool,
-    /// Grasped object.
+    /// Grasped object: rigid, medium or soft (333, 50 and 5 N/mm).
     #[arg(
         long,
-        value_enum,
+        value_name = "STIFFNESS",
+        value_parser = parse_object,
         default_value = "rigid",
         requires = "force",
         conflicts_with = "hardware"
@@ -146,17 +147,6 @@ Only one program at a time can use a serial port: next to another one, --stop an
 /// What follows the options in `--help`.
 fn help() -> String {
     format!("{EXAMPLES}\nGround contact (--foot): {}.\n\n{}", foot_openings(), result_code::HELP)
-}
-
-/// The grasped object by its contact stiffness, including the flexures.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-pub enum ObjectStiffness {
-    /// 333 N/mm: steel between the flexures.
-    Rigid,
-    /// 50 N/mm: rubber.
-    Medium,
-    /// 5 N/mm: foam.
-    Soft,
 }
 
 /// Limits of a grasp.

@@ -5,7 +5,7 @@ use analysis::progress;
 use anyhow::{Result, bail};
 use device::control::check_force;
 
-use crate::commands::grasp::args::{Args, ObjectStiffness, OtherController};
+use crate::commands::grasp::args::{Args, OtherController};
 use report::html::grasp as page;
 use report::text::grasp::{format_grasp, format_landing, grasp_json, landing_json};
 use report::text::terminal;
@@ -19,17 +19,6 @@ const HOLD_S: f64 = 0.5;
 const APPROACH_MM: f64 = 2.0;
 /// The same for the current-limited grasp, which accelerates to full speed.
 const CURRENT_LIMITED_APPROACH_MM: f64 = 15.0;
-
-impl ObjectStiffness {
-    /// Contact stiffness in N/mm.
-    fn contact_n_per_mm(self) -> f64 {
-        match self {
-            Self::Rigid => 333.0,
-            Self::Medium => 50.0,
-            Self::Soft => 5.0,
-        }
-    }
-}
 
 pub(super) fn grasp(args: &Args, case: DriveCase, set_n: f64) -> Result<()> {
     check_force(set_n)?;
