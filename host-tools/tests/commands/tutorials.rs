@@ -1,5 +1,8 @@
 //! The tutorials: each command of their `console` blocks runs, in order and in one folder, and prints the lines below it.
 
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
 use crate::workdir::tutorial::{Step, folder, link_data, steps, words};
 use crate::workdir::{WorkDir, text};
 
@@ -49,6 +52,30 @@ fn design() {
 #[test]
 fn ros2() {
     assert!(run("ros2.md") >= 4);
+}
+
+#[test]
+fn tutorials_write_to_paths_of_their_own() {
+    let mut writers: BTreeMap<String, PathBuf> = BTreeMap::new();
+    for entry in std::fs::read_dir(folder()).unwrap() {
+        let page = entry.unwrap().path();
+        for step in steps(&std::fs::read_to_string(&page).unwrap()) {
+            let paths = match step {
+                Step::File { name, .. } => vec![name.to_owned()],
+                Step::Command { arguments, .. } => {
+                    let words = arguments.unwrap_or_default();
+                    let is_output = |word: &str| matches!(word, "-o" | "--checkpoint");
+                    let pairs = words.windows(2).filter(|pair| is_output(&pair[0]));
+                    pairs.map(|pair| pair[1].clone()).collect()
+                }
+            };
+            for path in paths {
+                let writer = writers.entry(path.clone()).or_insert_with(|| page.clone());
+                assert_eq!(*writer, page, "{path}");
+            }
+        }
+    }
+    assert!(writers.len() > 20, "{writers:?}");
 }
 
 #[test]
