@@ -10,7 +10,8 @@ use crate::align::Alignment;
 use crate::description::{NominalDesign, RECORDING_FILE};
 use crate::error::{DataError, ErrorKind, Location, Notice};
 use crate::in_order;
-use crate::recording::{Recording, recording_name};
+use crate::output::{is_draft, remove_abandoned};
+use crate::recording::{Recording, fingerprint, recording_name};
 use crate::repeated_settings;
 use crate::windows::RecordingWindows;
 
@@ -118,7 +119,8 @@ impl Campaign {
     }
 }
 
-/// Folders of recordings in `folder` (or itself), in natural order of their names.
+/// Folders of recordings in `folder` (or itself), in natural order of their names: not those that are being written. What a killed
+/// writer has left there is deleted.
 pub fn recording_folders(folder: &Path) -> Result<Vec<PathBuf>, DataError> {
     if folder.is_file() {
         return Err(ErrorKind::CampaignIsFile.at(Location::file(folder)));
@@ -128,9 +130,10 @@ pub fn recording_folders(folder: &Path) -> Result<Vec<PathBuf>, DataError> {
     if is_recording(folder) {
         return Ok(vec![folder.to_path_buf()]);
     }
+    remove_abandoned(folder);
     let mut folders: Vec<PathBuf> = entries
         .filter_map(|entry| entry.ok().map(|entry| entry.path()))
-        .filter(|path| path.is_dir() && is_recording(path))
+        .filter(|path| path.is_dir() && !is_draft(path) && is_recording(path))
         .collect();
     if folders.is_empty() {
         let kind = match several_campaigns(folder) {

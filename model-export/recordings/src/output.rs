@@ -205,17 +205,19 @@ fn is_claimed(path: &Path, file: Option<&File>) -> bool {
     }
 }
 
+/// Whether this is the name of a temporary file or folder.
+pub(crate) fn is_draft(path: &Path) -> bool {
+    let name = path.file_name().and_then(|name| name.to_str());
+    name.is_some_and(|name| name.starts_with(DRAFT_PREFIX) && name.ends_with(DRAFT_SUFFIX))
+}
+
 /// Deletes the drafts in `folder` whose writer has died: a process that lives holds its lock.
-fn remove_abandoned(folder: &Path) {
+pub(crate) fn remove_abandoned(folder: &Path) {
     let Ok(entries) = std::fs::read_dir(folder) else { return };
     for entry in entries.flatten() {
-        let name = entry.file_name();
-        let is_draft = name
-            .to_str()
-            .is_some_and(|name| name.starts_with(DRAFT_PREFIX) && name.ends_with(DRAFT_SUFFIX));
         let path = entry.path();
         let Ok(kind) = entry.file_type() else { continue };
-        if !is_draft || !(kind.is_dir() || kind.is_file()) {
+        if !is_draft(&path) || !(kind.is_dir() || kind.is_file()) {
             continue;
         }
         let Ok(file) = File::open(&path) else { continue };
@@ -315,6 +317,22 @@ mod tests {
         assert!(message.contains("refusing to overwrite"), "{message}");
         assert_eq!(fs::read_to_string(&path).unwrap(), "first");
         assert_eq!(names(folder.path()), ["campaign", "truth"]);
+    }
+
+    #[test]
+    fn campaign_is_read_without_the_recordings_of_killed_and_present_writers() {
+        let folder = TempDir::new().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        for name in ["1", ".magpie-record-dead.partial"] {
+            fs::create_dir(path(name)).unwrap();
+            fs::write(path(name).join("hall.csv"), "").unwrap();
+        }
+        let live = StagingDir::new(&path("2"), "record").unwrap();
+        fs::write(live.path().join("hall.csv"), "").unwrap();
+        assert_eq!(crate::campaign::recording_folders(folder.path()).unwrap(), [path("1")]);
+        assert!(live.path().exists());
+        drop(live);
+        assert_eq!(names(folder.path()), ["1"]);
     }
 
     #[test]
