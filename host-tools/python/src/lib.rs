@@ -97,7 +97,7 @@ fn to_python(py: Python<'_>, error: anyhow::Error) -> PyErr {
 
 /// Notes as sentences.
 fn texts(list: &[Note]) -> Vec<String> {
-    list.iter().map(notes::text).collect()
+    notes::texts(list)
 }
 
 /// A result with its notes.

@@ -6,8 +6,8 @@ use model_export::inverse::build::{DeviceModel, ExportHeader};
 
 /// Prints notes on stderr.
 pub fn print_notes(notes: &[Note]) {
-    for note in notes {
-        eprintln!("note: {}", report::text::notes::text(note));
+    for note in report::text::notes::texts(notes) {
+        eprintln!("note: {note}");
     }
 }
 

@@ -118,8 +118,9 @@ pub enum Evidence {
     /// Columns have one value in every row.
     StuckThroughout {
         columns: ColumnSet,
-        value: f64,
-        /// True at the end of the sensor's range.
+        /// The value of all of them; `None` where each has its own.
+        value: Option<f64>,
+        /// True where all are at the end of the sensor's range.
         at_limit: bool,
         /// True where a column is stuck in every recording.
         in_every_recording: bool,
@@ -132,7 +133,8 @@ pub enum Evidence {
         /// End in seconds.
         to_s: f64,
         rows: u64,
-        value: f64,
+        /// The value of all of them; `None` where each has its own.
+        value: Option<f64>,
         /// White noise of the column.
         noise: f64,
     },
@@ -305,11 +307,15 @@ impl RecordingSet {
     }
 }
 
-/// Columns with the same finding.
+/// Columns with the same finding: those of the same recordings together.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct ColumnSet {
-    pub names: Vec<String>,
-    pub recordings: RecordingSet,
+pub struct ColumnSet(pub Vec<(Vec<String>, RecordingSet)>);
+
+impl ColumnSet {
+    /// Whether it is one column.
+    pub fn is_single(&self) -> bool {
+        self.0.iter().map(|(names, _)| names.len()).sum::<usize>() == 1
+    }
 }
 
 /// Magnitude of a column.

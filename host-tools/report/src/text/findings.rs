@@ -162,17 +162,17 @@ pub fn message(finding: &Finding) -> String {
             "{} {} {}{} in every row; a working channel shows noise: look for a broken wire, a sensor that was not read, or a column filled by hand{}",
             columns_in(columns),
             verb(columns, "is", "are"),
-            digits(*value),
+            value.map_or_else(|| "constant, each at its own value,".to_owned(), digits),
             if *at_limit { ", the end of its range" } else { "" },
             if *in_every_recording { "" } else { ", and exclude that recording" }
         ),
         Evidence::Frozen { columns, from_s, to_s, rows, value, noise } => format!(
-            "{} {} constant from {} to {} s, {rows} rows of the same value ({}), where noise of {} would change nearly every row; look for a loose connector or a sensor that stopped, and cut out this stretch",
+            "{} {} constant from {} to {} s, {rows} rows of the same value{}, where noise of {} would change nearly every row; look for a loose connector or a sensor that stopped, and cut out this stretch",
             columns_in(columns),
             verb(columns, "is", "are"),
             digits(*from_s),
             digits(*to_s),
-            digits(*value),
+            value.map_or_else(String::new, |value| format!(" ({})", digits(value))),
             digits(*noise),
         ),
         Evidence::Saturated { columns, worst, share } => format!(
@@ -188,7 +188,7 @@ pub fn message(finding: &Finding) -> String {
                 "look for a limit in the amplifier, the converter or the logger, or reduce the load"
             };
             format!(
-                "{} {} clipped: {} of the rows of {worst} are exactly {} and none exceeds it, where noise would scatter them; {advice}. These rows are not excluded automatically",
+                "{} {} clipped: up to {} of the rows of {worst} are exactly {} and none exceeds it, where noise would scatter them; {advice}. These rows are not excluded automatically",
                 columns_in(columns),
                 verb(columns, "is", "are"),
                 percent(*share),
@@ -520,7 +520,10 @@ fn column_advice(
 
 /// Names of the columns and of their recordings.
 fn columns_in(columns: &ColumnSet) -> String {
-    format!("{} {}", list(&columns.names), in_recordings(&columns.recordings))
+    let of_group = |(names, recordings): &(Vec<String>, RecordingSet)| {
+        format!("{} {}", list(names), in_recordings(recordings))
+    };
+    list(columns.0.iter().map(of_group))
 }
 
 fn in_recordings(recordings: &RecordingSet) -> String {
@@ -538,7 +541,7 @@ fn throughout_or_in(recordings: &RecordingSet) -> String {
 
 /// Singular or plural form of a verb.
 fn verb(columns: &ColumnSet, one: &'static str, several: &'static str) -> &'static str {
-    if columns.names.len() == 1 { one } else { several }
+    if columns.is_single() { one } else { several }
 }
 
 fn counted(count: u64, one: &str, several: &str) -> String {

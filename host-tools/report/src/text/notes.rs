@@ -1,7 +1,10 @@
 //! Text of notes: one sentence for each.
 
+use std::ffi::OsString;
+
 use analysis::notes::{Note, UncompensatedEffect};
 use model_export::inverse::device_support::DeviceSupport;
+use model_export::recordings::recording::recording_name;
 
 use crate::text::comparison::conclusion::missing_forces;
 use crate::text::findings;
@@ -73,9 +76,51 @@ pub fn text(note: &Note) -> String {
     }
 }
 
-/// All notes as sentences, for JSON.
+/// All notes as sentences. Notices of several recordings that differ only in their numbers are one, with those of the first.
 pub fn texts(notes: &[Note]) -> Vec<String> {
-    notes.iter().map(text).collect()
+    let mut groups: Vec<(&Note, Option<NoticeKind>, Vec<String>)> = Vec::new();
+    for note in notes {
+        let kind = notice_kind(note);
+        let recording = kind.as_ref().map(|(_, recording)| recording.clone());
+        let kind = kind.map(|(kind, _)| kind);
+        match groups.iter_mut().find(|(_, other, _)| kind.is_some() && *other == kind) {
+            Some((_, _, recordings)) => recordings.extend(recording),
+            None => groups.push((note, kind, recording.into_iter().collect())),
+        }
+    }
+    let sentence = |(note, _, recordings): (&Note, _, Vec<String>)| match recordings.as_slice() {
+        [] | [_] => text(note),
+        [.., _] if recordings.len() > LISTED => {
+            format!(
+                "{} ({} recordings; the numbers are those of the first)",
+                text(note),
+                recordings.len()
+            )
+        }
+        names => format!(
+            "{} (recordings {}; the numbers are those of the first)",
+            text(note),
+            names.join(", ")
+        ),
+    };
+    groups.into_iter().map(sentence).collect()
+}
+
+/// Recordings that a note lists.
+const LISTED: usize = 8;
+
+/// File name, column, and message without its digits.
+type NoticeKind = (OsString, Option<String>, String);
+
+/// What a notice has in common with those of other recordings, and its recording.
+fn notice_kind(note: &Note) -> Option<(NoticeKind, String)> {
+    let Note::Recording(notice) = note else { return None };
+    let place = &notice.location;
+    let file = place.file.file_name()?.to_owned();
+    place.line?;
+    let recording = recording_name(place.file.parent()?);
+    let message = notice.message.replace(|c: char| c.is_ascii_digit() || c == '.', "");
+    Some(((file, place.column.clone(), message), recording))
 }
 
 pub fn device_support(support: &DeviceSupport) -> String {
@@ -89,8 +134,11 @@ pub fn uncompensated(effect: &UncompensatedEffect) -> String {
 
 #[cfg(test)]
 mod tests {
+    use std::path::Path;
+
     use super::*;
     use model_export::inverse::compensation::NotCompensable;
+    use model_export::recordings::{Location, Notice};
 
     #[test]
     fn note_that_carries_an_error_states_it() {
@@ -98,6 +146,26 @@ mod tests {
         let note = Note::NotCompensable(NotCompensable { effect, sensor: 2, why });
         let expected = "creep of sensor 2 cannot be compensated on the device: the error";
         assert_eq!(text(&note), expected);
+    }
+
+    #[test]
+    fn equal_notices_of_several_recordings_are_one() {
+        let notice = |recording: &str, file: &str, message: &str| {
+            let location = Location::file(&Path::new("bench").join(recording).join(file)).line(7);
+            Note::Recording(Notice { location, message: message.to_owned() })
+        };
+        let notes = [
+            notice("1", "hall.csv", "19 gaps of 1.5 ms"),
+            notice("1", "force.csv", "19 gaps of 1.5 ms"),
+            notice("2", "hall.csv", "20 gaps of 33 ms"),
+            notice("2", "hall.csv", "2 rows are saturated"),
+        ];
+        let expected = [
+            "bench/1/hall.csv, line 7: 19 gaps of 1.5 ms (recordings 1, 2; the numbers are those of the first)",
+            "bench/1/force.csv, line 7: 19 gaps of 1.5 ms",
+            "bench/2/hall.csv, line 7: 2 rows are saturated",
+        ];
+        assert_eq!(texts(&notes), expected);
     }
 
     #[test]

@@ -293,12 +293,18 @@ fn never_changes<'a>(context: &CheckContext, seen: &[Channel<'a>], whole: bool) 
     let first = seen[0];
     let evidence = Evidence::StuckThroughout {
         columns: context.columns_in(seen),
-        value: first.column.extent.0,
-        at_limit: seen.iter().any(|one| one.column.at_limit.0 > 0),
+        value: common(seen.iter().map(|one| one.column.extent.0)),
+        at_limit: seen.iter().all(|one| one.column.at_limit.0 > 0),
         in_every_recording: whole,
     };
     let found = Found::new(first.at(2), evidence).explaining(seen);
     if whole { found.stopping(None) } else { found }
+}
+
+/// The value, where all are equal.
+fn common(mut values: impl Iterator<Item = f64>) -> Option<f64> {
+    let first = values.next()?;
+    values.all(|value| value == first).then_some(first)
 }
 
 fn frozen_for<'a>(context: &CheckContext, group: &[(Channel<'a>, Run)]) -> Found<'a> {
@@ -309,7 +315,7 @@ fn frozen_for<'a>(context: &CheckContext, group: &[(Channel<'a>, Run)]) -> Found
         from_s: first.table.second(run.from_us),
         to_s: first.table.second(run.to_us),
         rows: run.rows,
-        value: run.value,
+        value: common(group.iter().map(|(_, run)| run.value)),
         noise: first.column.noise(),
     };
     Found::new(first.at(run.line), evidence).explaining(&seen)

@@ -12,7 +12,7 @@ pub mod columns;
 pub mod lines;
 pub mod wraps;
 
-use std::collections::HashSet;
+use std::collections::{BTreeSet, HashSet};
 
 use model_export::recordings::Location;
 
@@ -144,16 +144,24 @@ impl<'a> CheckContext<'a> {
         RecordingSet::of(hit, self.recordings.iter().map(|recording| &recording.name))
     }
 
-    /// Names of the columns and of their recordings.
+    /// Names of the columns, and the recordings of each.
     pub fn columns_in(&self, seen: &[Channel]) -> ColumnSet {
-        let mut names: Vec<String> = Vec::new();
+        let mut groups: Vec<(Vec<String>, BTreeSet<usize>)> = Vec::new();
+        let mut done = BTreeSet::new();
         for one in seen {
-            if !names.contains(&one.column.name) {
-                names.push(one.column.name.clone());
+            let name = &one.column.name;
+            if !done.insert(name) {
+                continue;
+            }
+            let own = seen.iter().filter(|other| other.column.name == *name);
+            let own: BTreeSet<usize> = own.map(|other| other.recording).collect();
+            match groups.iter_mut().find(|(_, recordings)| *recordings == own) {
+                Some((names, _)) => names.push(name.clone()),
+                None => groups.push((vec![name.clone()], own)),
             }
         }
-        let recordings = self.recordings_in(seen.iter().map(|one| one.recording));
-        ColumnSet { names, recordings }
+        let set = |(names, own)| (names, self.recordings_in(own));
+        ColumnSet(groups.into_iter().map(set).collect())
     }
 }
 
