@@ -628,6 +628,34 @@ fn folders_of_two_tables_are_mapped_by_their_columns() {
 }
 
 #[test]
+fn text_among_numbers_is_refused_with_its_line_and_column() {
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("source.csv");
+    let good = table("t_s,bx_G,by_G,bz_G,fx_N,fz_N,status", 0.01, 0.0, false);
+    let changed = |line: usize, column: usize| {
+        let mut rows: Vec<Vec<&str>> = good.lines().map(|row| row.split(',').collect()).collect();
+        rows[line - 1][column] = "n/a";
+        let rows: Vec<String> = rows.iter().map(|row| row.join(",")).collect();
+        fs::write(&path, rows.join("\n") + "\n").unwrap();
+        propose(std::slice::from_ref(&path))
+    };
+    for (column, name) in [(2, "by_G"), (4, "fx_N")] {
+        let error = changed(17, column).unwrap_err().to_string();
+        let place = format!(
+            "source.csv, line 17, column {name}: \"n/a\" is not a number; correct it or remove"
+        );
+        assert!(error.contains(&place), "{error}");
+    }
+    // A column that is not imported.
+    let proposal = changed(17, 6).unwrap();
+    assert!(
+        proposal.ignored.contains(&("status".to_owned(), "text in line 17".into())),
+        "{:?}",
+        proposal.ignored
+    );
+}
+
+#[test]
 fn table_without_a_field_or_clock_is_refused() {
     let folder = TempDir::new().unwrap();
     let path = folder.path().join("source.csv");

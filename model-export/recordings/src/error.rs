@@ -224,7 +224,9 @@ pub enum ErrorKind {
         "the row has {found} cells where the header has {expected}; complete the row or remove it (an interrupted recording usually truncates its last line)"
     )]
     CellCount { found: usize, expected: usize },
-    #[error("{text:?} is not a number; correct it or remove the row")]
+    #[error(
+        "{text:?} is not a number; correct it or remove the row, or leave the cell empty where a force was not measured"
+    )]
     NotANumber { text: String },
     #[error(
         "{text:?} is not finite; remove the row, or leave the cell empty where a force was not measured"

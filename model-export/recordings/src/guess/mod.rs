@@ -6,6 +6,7 @@
 mod names;
 mod source;
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -35,7 +36,7 @@ pub struct Proposal {
     /// Decisions that the tables do not determine: what to check.
     pub checks: Vec<String>,
     /// Columns that are not imported, with the reason.
-    pub ignored: Vec<(String, &'static str)>,
+    pub ignored: Vec<(String, Cow<'static, str>)>,
 }
 
 /// A column to import.
@@ -291,7 +292,7 @@ struct Draft {
     columns: Vec<ProposedColumn>,
     /// Names of columns, and what to check of all of them; no names where it is the whole file.
     checks: Vec<(Vec<String>, String)>,
-    ignored: Vec<(String, &'static str)>,
+    ignored: Vec<(String, Cow<'static, str>)>,
 }
 
 impl Draft {
@@ -374,15 +375,17 @@ impl Draft {
         let mut without_unit = fields().filter(|column| column.stated.unit.is_none());
         let are_whole = without_unit.all(|column| column.is_whole);
         for column in fields().filter(|column| partial.contains(&&column.stated.group)) {
-            self.ignored.push((column.name.clone(), "its sensor has not all of x, y and z"));
+            self.ignored.push((column.name.clone(), "its sensor has not all of x, y and z".into()));
         }
         for (sensor, group) in complete.iter().enumerate() {
             for column in fields().filter(|column| column.stated.group == **group) {
                 let Some(axis) = axis_of(column) else { continue };
                 let to = |unit: &str| format!("s{sensor}_{}_{unit}", axis.letter());
                 if self.has(&to("lsb")) || self.has(&to("gauss")) {
-                    self.ignored
-                        .push((column.name.clone(), "a second field of this sensor and axis"));
+                    self.ignored.push((
+                        column.name.clone(),
+                        "a second field of this sensor and axis".into(),
+                    ));
                     continue;
                 }
                 match column.stated.unit {
@@ -453,7 +456,9 @@ impl Draft {
                 Some(axis @ ('x' | 'y' | 'z')) if !self.has(&format!("accel_{axis}_mps2")) => {
                     self.add(column, unit.unwrap_or(guessed), format!("accel_{axis}_mps2"), check);
                 }
-                _ => self.ignored.push((column.name.clone(), "a second or unclear acceleration")),
+                _ => self
+                    .ignored
+                    .push((column.name.clone(), "a second or unclear acceleration".into())),
             }
         }
         let has_word = |column: &SourceColumn, words: &[&str]| {
@@ -506,7 +511,7 @@ impl Draft {
                         });
                         self.named(column, unit.name, check);
                     }
-                    None => self.ignored.push((column.name.clone(), "no unit")),
+                    None => self.ignored.push((column.name.clone(), "no unit".into())),
                 }
             }
         }
@@ -531,7 +536,7 @@ impl Draft {
         if is_valid && !self.has(&to) {
             self.add(column, unit, to, check);
         } else {
-            self.ignored.push((column.name.clone(), "its name is not unique"));
+            self.ignored.push((column.name.clone(), "its name is not unique".into()));
         }
     }
 
@@ -582,8 +587,10 @@ impl Draft {
             let axis = match column.stated.axis {
                 Some('x') => 'x',
                 Some('y') => {
-                    self.ignored
-                        .push((column.name.clone(), "the force across the gap is not estimated"));
+                    self.ignored.push((
+                        column.name.clone(),
+                        "the force across the gap is not estimated".into(),
+                    ));
                     continue;
                 }
                 Some(_) => 'z',
@@ -594,7 +601,8 @@ impl Draft {
             };
             let to = format!("f{index}_{axis}_n");
             if self.has(&to) {
-                self.ignored.push((column.name.clone(), "a second force of this sensor and axis"));
+                self.ignored
+                    .push((column.name.clone(), "a second force of this sensor and axis".into()));
                 continue;
             }
             let unit = column.stated.unit.map_or("N", |unit| unit.name);
@@ -660,11 +668,11 @@ impl Draft {
                 continue;
             }
             let reason = match column.quantity {
-                _ if !column.is_numeric() => "text, or empty",
-                Quantity::Unsupported => "a torque or an angular rate",
-                Quantity::Time => "another clock",
-                _ if column.is_constant() => "constant",
-                _ => "not recognised",
+                _ if !column.is_numeric() => column.text_reason(),
+                Quantity::Unsupported => "a torque or an angular rate".into(),
+                Quantity::Time => "another clock".into(),
+                _ if column.is_constant() => "constant".into(),
+                _ => "not recognised".into(),
             };
             self.ignored.push((column.name.clone(), reason));
         }

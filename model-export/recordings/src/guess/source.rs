@@ -1,5 +1,6 @@
 //! Tables of a source, with what their values show.
 
+use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
 use crate::columns::Axis;
@@ -27,6 +28,8 @@ pub struct SourceColumn {
     /// Cells with a number, and with text.
     numbers: u64,
     texts: u64,
+    /// Line and content of the first cell with text.
+    first_text: Option<(u64, String)>,
     pub min: f64,
     pub max: f64,
     pub first: f64,
@@ -155,13 +158,18 @@ fn read_rows(
     let mut record = csv::ByteRecord::new();
     reader.read(&mut record)?;
     let mut columns: Vec<SourceColumn> = header.into_iter().map(SourceColumn::new).collect();
-    let mut rows = 0;
+    let (mut rows, mut last, mut line) = (0, 0, reader.line());
     while rows < MAX_ROWS && reader.read(&mut record)? {
         rows += 1;
         for (column, cell) in columns.iter_mut().zip(&record) {
-            column.add(cell);
+            column.add(line, cell);
         }
+        (last, line) = (line, reader.line());
     }
+    // A killed logger ends within a cell; the import decides whether it did.
+    let is_in_last =
+        |column: &SourceColumn| column.first_text.as_ref().is_some_and(|of| of.0 == last);
+    columns.iter_mut().filter(|column| is_in_last(column)).for_each(|column| column.texts = 0);
     if rows == 0 {
         return Err(ErrorKind::NoRows.at(Location::file(path)));
     }
@@ -183,7 +191,22 @@ fn read_rows(
             column.quantity = Quantity::Unsupported;
         }
     }
+    check_cells(path, &columns)?;
     Ok(SourceTable { path: path.to_path_buf(), is_in_folder, notes: Vec::new(), rows, columns })
+}
+
+/// Refuses text among the numbers of a column that an import reads: without it, the whole column would be missing.
+fn check_cells(path: &Path, columns: &[SourceColumn]) -> Result<(), DataError> {
+    for column in columns {
+        let is_read = !matches!(column.quantity, Quantity::Unknown | Quantity::Unsupported);
+        if let Some((line, text)) = column.first_text.as_ref().filter(|_| is_read)
+            && (1..column.numbers).contains(&column.texts)
+        {
+            let place = Location::file(path).line(*line).column(&column.name);
+            return Err(ErrorKind::NotANumber { text: text.clone() }.at(place));
+        }
+    }
+    Ok(())
 }
 
 fn is_moment(word: &str) -> bool {
@@ -199,6 +222,7 @@ impl SourceColumn {
             stated,
             numbers: 0,
             texts: 0,
+            first_text: None,
             min: f64::INFINITY,
             max: f64::NEG_INFINITY,
             first: f64::NAN,
@@ -211,9 +235,13 @@ impl SourceColumn {
         }
     }
 
-    fn add(&mut self, cell: &[u8]) {
+    fn add(&mut self, line: u64, cell: &[u8]) {
         let Some(value) = number(cell) else {
-            self.texts += u64::from(!cell.trim_ascii().is_empty());
+            if !cell.trim_ascii().is_empty() {
+                self.texts += 1;
+                self.first_text
+                    .get_or_insert_with(|| (line, String::from_utf8_lossy(cell).into_owned()));
+            }
             return;
         };
         if !value.is_finite() {
@@ -241,6 +269,14 @@ impl SourceColumn {
     /// True if every cell is a number, empty, or not finite.
     pub fn is_numeric(&self) -> bool {
         self.numbers > 0 && self.texts == 0
+    }
+
+    /// Why a column without numbers, or with text among them, is not imported.
+    pub fn text_reason(&self) -> Cow<'static, str> {
+        match &self.first_text {
+            Some((line, _)) => format!("text in line {line}").into(),
+            None => "empty".into(),
+        }
     }
 
     pub fn is_constant(&self) -> bool {
