@@ -148,6 +148,10 @@ fn invalid_model_parameter_is_rejected_by_name() {
             "column sensor_scale.gauss_per_lsb: 0.0 is not allowed here",
         ),
         ("number = 1", "number = 0", "duplicate number"),
+        ("half_window_ms", "half_windows_ms", "unknown field `half_windows_ms`"),
+        ("half_window_ms", "half_windows_ms", "did you mean `half_window_ms`?"),
+        ("[sensor.parameters.gap]", "[sensor.parameters.gapp]", "did you mean gap?"),
+        ("format = 1", "format = 2\nnew_key = 3", "this tool reads format = 1"),
     ] {
         std::fs::write(dir.path("model.toml"), good.replacen(from, to, 1)).unwrap();
         let output = dir.run("dev export model.toml -o tables.rs");

@@ -422,6 +422,16 @@ pub fn parse_toml<T: serde::de::DeserializeOwned>(path: &Path, text: &str) -> Re
             let before = text.get(..span.start).unwrap_or(text);
             location = location.line(before.matches('\n').count() as u64 + 1);
         }
-        ErrorKind::Toml(error.message().replace('\n', " ")).at(location)
+        ErrorKind::Toml(with_nearest_key(error.message().replace('\n', " "))).at(location)
     })
+}
+
+/// The message of an unknown key with the nearest of the keys that it lists.
+fn with_nearest_key(message: String) -> String {
+    let mut keys = message.split('`').skip(1).step_by(2);
+    let unknown = keys.next().filter(|_| message.starts_with("unknown field"));
+    match unknown.and_then(|unknown| closest_match(unknown, keys)) {
+        Some(nearest) => format!("{message} (did you mean `{nearest}`?)"),
+        None => message,
+    }
 }

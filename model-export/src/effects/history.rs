@@ -13,6 +13,7 @@ const ENDED: f64 = 1e9;
 
 /// Time at the end of a campaign by the measures on which permanent changes depend, of one sensor.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct FinalState {
     /// Start of the last recording in seconds since the start of the campaign.
     pub start_s: f64,

@@ -13,6 +13,7 @@ use crate::model_file::sensor::{FittedValue, digits};
 
 /// A fitted effect.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct EffectModel {
     /// Id in the catalogue, or name of a user-defined effect.
     pub name: String,
@@ -38,6 +39,7 @@ pub struct EffectModel {
 
 /// Parameters of an effect at one sensor.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct SensorEffect {
     /// Index of the sensor.
     pub number: u32,

@@ -8,7 +8,7 @@ use firmware::config::constants::{self, FORCE_RANGE};
 use serde::{Deserialize, Serialize};
 
 use crate::effects::{EffectTerm, ErrorOrigin, FinalState};
-use crate::error::ErrorKind;
+use crate::error::{ErrorKind, closest_match};
 use crate::fit::campaign::FitSetup;
 use crate::fit::joint::{JointFit, SensorFit};
 use crate::fit::parameters::{self, PARAMETERS};
@@ -49,6 +49,7 @@ pub const SIGNATURE: &str = "# A magpie model, written by `magpie fit`.";
 
 /// Fitted model of one gripper.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct ModelFile {
     /// Format version, [`FORMAT`].
     pub format: i64,
@@ -195,15 +196,19 @@ impl ModelFile {
         }
         let is_model =
             |table: &toml::Table| table.contains_key("base") && table.contains_key("sensor");
-        if text.parse::<toml::Table>().is_ok_and(|table| !is_model(&table)) {
-            return Err(ErrorKind::NotAModel.at(Location::file(path)));
+        // The format first: another one has other keys.
+        if let Ok(table) = text.parse::<toml::Table>() {
+            if !is_model(&table) {
+                return Err(ErrorKind::NotAModel.at(Location::file(path)));
+            }
+            let format = table.get("format").and_then(toml::Value::as_integer);
+            if let Some(format) = format.filter(|format| *format != FORMAT) {
+                let advice = format!("this tool reads format = {FORMAT}: repeat the fit");
+                let kind = ErrorKind::bad_value(format.to_string(), advice);
+                return Err(kind.at(Location::file(path).column("format")));
+            }
         }
         let model: Self = parse_toml(path, &text)?;
-        if model.format != FORMAT {
-            let advice = format!("this tool reads format = {FORMAT}: repeat the fit");
-            let kind = ErrorKind::bad_value(model.format.to_string(), advice);
-            return Err(kind.at(Location::file(path).column("format")));
-        }
         model.check(path)?;
         Ok(model)
     }
@@ -290,6 +295,16 @@ impl ModelFile {
                     );
                 }
                 continue;
+            }
+            let known = || PARAMETERS.iter().map(|parameter| parameter.name);
+            let mut names = sensor.parameters.keys();
+            if let Some(unknown) = names.find(|name| !known().any(|known| known == *name)) {
+                let nearest = closest_match(unknown, known());
+                let advice = nearest.map_or_else(
+                    || "there is no such parameter: remove it".to_owned(),
+                    |nearest| format!("did you mean {nearest}?"),
+                );
+                return bad(key("parameters"), unknown.clone(), &advice);
             }
             for parameter in &PARAMETERS {
                 let Some(value) = sensor.parameters.get(parameter.name).map(|value| value.value)
@@ -405,6 +420,7 @@ fn with_final_states(
 
 /// Source of a model's numbers.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Provenance {
     /// Name of the campaign's folder.
     pub campaign: String,
@@ -424,6 +440,7 @@ pub struct Provenance {
 
 /// Identification of a fitted recording.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct FittedRecording {
     /// Name of the folder.
     pub name: String,
@@ -463,6 +480,7 @@ impl Provenance {
 
 /// Conversion from counts to gauss.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct SensorScale {
     /// Gauss per count.
     pub gauss_per_lsb: f64,

@@ -17,6 +17,7 @@ use crate::recordings::units::round_significant;
 
 /// Model of one sensor.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct SensorModel {
     /// Index of the sensor.
     pub number: u32,
@@ -49,6 +50,7 @@ pub struct SensorModel {
 
 /// Held-out error of one axis.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct HeldOutError {
     /// `x`, `y` or `z`.
     pub axis: String,
@@ -64,6 +66,7 @@ pub struct HeldOutError {
 
 /// A fitted value with its standard error.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct FittedValue {
     /// Estimate.
     pub value: f64,
@@ -77,6 +80,7 @@ pub struct FittedValue {
 
 /// A combination of parameters that the data do not determine.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct UnidentifiableCombination {
     /// Coefficients of the parameters in units of their tolerances.
     pub shares: BTreeMap<String, f64>,
@@ -87,6 +91,7 @@ pub struct UnidentifiableCombination {
 
 /// Coefficients of a polynomial of the forces.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct PolynomialTable {
     /// Total degree.
     pub degree: usize,

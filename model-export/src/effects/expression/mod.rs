@@ -72,6 +72,7 @@ fn is_covariate(name: &str) -> bool {
 
 /// A nonlinear parameter and its search range.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct ParameterRange {
     /// Name in the formula.
     pub name: String,
