@@ -1,5 +1,6 @@
 //! A model refitted with other effects: the error before and after.
 
+use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::{Result, anyhow, bail};
@@ -13,7 +14,8 @@ use model_export::fit::effect_size::{EffectSize, effect_sizes};
 use model_export::fit::joint::JointFit;
 use model_export::input::MAX_EFFECTS;
 use model_export::inverse::device_support::{DeviceSupport, device_support};
-use model_export::model_file::{BaseKind, ModelFile, Provenance};
+use model_export::model_file::{self, BaseKind, ModelFile, Provenance};
+use model_export::output::{Output, Overwrite};
 use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
 
@@ -127,6 +129,24 @@ pub fn edited_effects(
     }
     let kept = before.iter().filter(|effect| !removed.iter().any(|name| name == effect.name()));
     Ok(kept.cloned().chain(added).collect())
+}
+
+/// The file of a model that is edited. Its inputs are the recordings, and the effects before and after: an edit may replace the
+/// model that it reads.
+///
+/// # Errors
+/// The path holds another file, or the recordings cannot be read.
+pub fn edited_output(
+    path: &Path,
+    model: &Model,
+    after: &[EffectTerm],
+    campaign: &Campaign,
+    overwrite: Overwrite,
+) -> Result<Output> {
+    let recordings = campaign.recordings.iter().map(|one| one.sha256().map(str::to_owned));
+    let mut inputs = recordings.collect::<Result<Vec<_>, _>>()?;
+    inputs.extend(model.effects.iter().chain(after).map(|effect| effect.name().to_owned()));
+    Ok(Output::check(path, model_file::SIGNATURE, inputs, overwrite)?)
 }
 
 /// Parses formulas over these columns; each receives the ranges of the parameters that it contains.

@@ -55,8 +55,7 @@ pub fn create(path: &Path) -> Result<Key> {
     let mut key = Key::NONE;
     getrandom::fill(&mut key.0).context("the system has no random numbers")?;
     let digits: String = key.0.iter().map(|byte| format!("{byte:02x}")).collect();
-    write_private(path, format!("{digits}\n").as_bytes())
-        .context("cannot create the key file; an existing key is never overwritten")?;
+    write_private(path, format!("{digits}\n").as_bytes()).context("cannot create the key file")?;
     Ok(key)
 }
 

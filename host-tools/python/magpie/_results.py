@@ -41,8 +41,10 @@ class _File:
         folder = tempfile.TemporaryDirectory(prefix="magpie-")
         return cls(Path(folder.name) / cls._name, folder)
 
-    def save(self, path: str | Path) -> Self:
-        """Copies the file; an existing one is replaced."""
+    def save(self, path: str | Path, *, force: bool = False) -> Self:
+        """Copies the file; an existing one with another content is replaced only with ``force``."""
+        if not force and Path(path).exists() and Path(path).read_bytes() != self.path.read_bytes():
+            raise FileExistsError(f"{path}: the output path exists; it is not overwritten: choose another path, or give force=True")
         shutil.copyfile(self.path, path)
         return type(self)(Path(path))
 

@@ -10,7 +10,7 @@ use analysis::compare::checked_campaign::CheckedCampaign;
 use analysis::comparison;
 use analysis::diagnose::observer::Observer;
 use analysis::diagnose::{Scope, diagnose_checked};
-use analysis::edit_model::{edited_effects, find_effects, parse_formulas, refit};
+use analysis::edit_model::{edited_effects, edited_output, find_effects, parse_formulas, refit};
 use analysis::fit::fit_model;
 use analysis::import::import_campaign;
 use analysis::model::Model;
@@ -33,8 +33,8 @@ use model_export::gru::train::checkpoint;
 use model_export::gru::train::dataset::Topology;
 use model_export::gru::train::trainer::{Trainer, TrainingSettings};
 use model_export::inverse::build::{ModelVariant, build};
-use model_export::model_file::{BaseKind, SIGNATURE, TABLES_MARK};
-use model_export::output::{check_output, write_new, write_output};
+use model_export::model_file::{BaseKind, ModelFile, SIGNATURE, TABLES_MARK};
+use model_export::output::{Output, Overwrite, write_same};
 use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
 use model_export::recordings::guess;
@@ -49,6 +49,9 @@ use sim::mountings::{MountedSensor, Mountings};
 
 use crate::interrupt::{self, Progress};
 use crate::{to_text, with_notes};
+
+/// A file that is not an earlier result of the same inputs is kept.
+const OVERWRITE: Overwrite = Overwrite::Refused { remedy: "choose another path, or remove it" };
 
 /// A formula's nonlinear parameter with the ends of its range.
 type Range = (String, f64, f64);
@@ -91,9 +94,9 @@ fn fit(
         if degree.is_some() && base == BaseKind::Cylinder {
             bail!("degree requires base \"polynomial\"; the cylinder base has no degree");
         }
-        check_output(&output, SIGNATURE)?;
+        let output = Output::check(&output, SIGNATURE, fingerprints(&campaign)?, OVERWRITE)?;
         let fit = fit_model(&campaign, base, degree, alignment(delay_ms), options(seed))?;
-        fit.model.write(&output)?;
+        fit.model.write_output(&output)?;
         Ok(with_notes(text::fit::to_json(&fit), &fit.notes))
     })?;
     Ok(to_text(py, &result))
@@ -111,16 +114,17 @@ fn compare(
     seed: u64,
 ) -> PyResult<Py<PyString>> {
     let result = interrupt::run(py, move |_| {
-        if let Some(path) = &report {
-            check_output(path, report::html::MARK)?;
-        }
+        let check = |path: PathBuf| {
+            Output::check(&path, report::html::MARK, fingerprints(&campaign)?, OVERWRITE)
+        };
+        let report = report.map(check).transpose()?;
         let model = Model::read(&model)?;
         let other = other.as_deref().map(Model::read).transpose()?;
         let (alignment, options) = (alignment(delay_ms), options(seed));
         let comparison =
             comparison::compare(&model, &campaign, other.as_ref(), alignment, options)?;
-        if let Some(path) = &report {
-            report::html::write(path, &comparison, &[])?;
+        if let Some(page) = &report {
+            report::html::write(page, &comparison, &[])?;
         }
         Ok(with_notes(text::comparison::to_json(&comparison), &comparison.notes))
     })?;
@@ -182,7 +186,6 @@ fn edit(
     seed: u64,
 ) -> PyResult<Py<PyString>> {
     let result = interrupt::run(py, move |_| {
-        check_output(&output, SIGNATURE)?;
         let model = Model::read(&model)?;
         let rows = read_campaign(&campaign, alignment(delay_ms))?;
         let added = find_effects(&added, &formulas(&exprs, &ranges, &rows)?)?;
@@ -220,12 +223,12 @@ fn export(
     network: Option<PathBuf>,
 ) -> PyResult<Py<PyString>> {
     let result = interrupt::run(py, move |_| {
-        check_output(&output, TABLES_MARK)?;
         let built = build(&model, ModelVariant::Fitted)?;
+        let output = Output::check(&output, TABLES_MARK, built.model.inputs(), OVERWRITE)?;
         check_compensated(&built, "remove it from the model")?;
         let networks = network.as_deref().map(|path| NetworkSet::read(path, &built)).transpose()?;
         let source = tables_source(&built, networks.as_ref())?;
-        write_output(&output, source.as_bytes(), TABLES_MARK)?;
+        output.write(source.as_bytes())?;
         Ok(text::export::to_json(&built.chosen, &built.header))
     })?;
     Ok(to_text(py, &result))
@@ -276,13 +279,11 @@ fn train(
             force_range_n: 0.0,
         };
         check_settings(&settings, topology.hidden).map_err(anyhow::Error::msg)?;
-        check_output(&output, TensorFileKind::Network.mark())?;
-        if let Some(path) = &checkpoint {
-            check_output(path, TensorFileKind::Checkpoint.mark())?;
-            if *path == output {
-                bail!("network and checkpoint need different files");
-            }
+        if checkpoint.as_ref() == Some(&output) {
+            bail!("network and checkpoint need different files");
         }
+        let mark = TensorFileKind::Network.mark();
+        let output = Output::check(&output, mark, fingerprints(&campaign)?, OVERWRITE)?;
         let start = Instant::now();
         let data = TrainingData::read(&model, &campaign, hold_out, alignment(delay_ms))?;
         let force_range_n = data.built.model.force_range_n();
@@ -294,8 +295,8 @@ fn train(
         }
         while !trainer.finished() && !stop.load(Ordering::Relaxed) {
             let losses = trainer.epoch()?;
-            if let Some(path) = &checkpoint {
-                checkpoint::write(path, &trainer, &data.key())?;
+            if let Some(output) = &saved {
+                checkpoint::write(output, &trainer, &data.key())?;
             }
             let stage = format!("training, held-out loss {:.3}", losses.held_out_loss);
             progress.call(stop, &stage, f64::from(trainer.epoch) / f64::from(epochs));
@@ -316,7 +317,7 @@ fn train(
 fn guess_mapping(py: Python<'_>, sources: Vec<PathBuf>, output: PathBuf) -> PyResult<Py<PyString>> {
     let result = interrupt::run(py, move |_| {
         let proposal = guess::propose(&sources)?;
-        write_new(&output, proposal.text.as_bytes())?;
+        write_same(&output, proposal.text.as_bytes(), OVERWRITE)?;
         Ok(text::import::proposal_json(&proposal, &output))
     })?;
     Ok(to_text(py, &result))

@@ -1,6 +1,6 @@
 //! Arguments that several commands share.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use analysis::edit_model::parse_formulas;
 use anyhow::{Context, Result, anyhow, bail};
@@ -82,24 +82,32 @@ pub struct CompareArgs {
     /// HTML report to write.
     #[arg(short, long, value_name = "REPORT")]
     pub output: Option<PathBuf>,
+    /// Whether another file is replaced.
+    #[command(flatten)]
+    pub force: ForceArg,
 }
 
 impl CompareArgs {
-    /// Fails early if the report could not be written later.
-    pub fn check_output(&self) -> Result<()> {
-        if let Some(path) = &self.output {
-            check_output(path, report::html::MARK)?;
+    /// The report, if one was requested; fails early if it could not be written later.
+    pub fn page(&self) -> Result<Option<Output>> {
+        match &self.output {
+            Some(path) => self.force.page(Some(path), fingerprints(&self.input.campaign)?),
+            None => Ok(None),
         }
-        Ok(())
     }
 
     /// Writes the report if one was requested; `sections` come from a diagnosis.
-    pub fn write_report(&self, comparison: &Comparison, sections: &[Section]) -> Result<()> {
-        let Some(path) = &self.output else {
+    pub fn write_report(
+        &self,
+        page: Option<&Output>,
+        comparison: &Comparison,
+        sections: &[Section],
+    ) -> Result<()> {
+        let Some(page) = page else {
             return Ok(());
         };
-        report::html::write(path, comparison, sections)?;
-        self.print_line(&format!("Report: {} (open in a browser)", path.display()))
+        report::html::write(page, comparison, sections)?;
+        self.print_line(&format!("Report: {} (open in a browser)", page.path().display()))
     }
 
     /// Prints a line on stdout, or on stderr with `--json`.

@@ -35,14 +35,14 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<()> {
     let common = &args.common;
     let input = &common.input;
-    common.check_output()?;
+    let page = common.page()?;
     let model = Model::read(&input.model)?;
     let baseline = args.baseline.as_deref().map(Model::read).transpose()?;
     let (alignment, options) = (input.fit.align.alignment()?, input.fit.options());
     let comparison = compare(&model, &input.campaign, baseline.as_ref(), alignment, options)?;
     print_notes(&comparison.notes);
     terminal::print_result(input.fit.json, || to_json(&comparison), || format_report(&comparison))?;
-    common.write_report(&comparison, &[])?;
+    common.write_report(page.as_ref(), &comparison, &[])?;
     if let Some(to) = &args.fix {
         let check = |folder: &Path| setup_errors(&model, folder, alignment, options);
         for correction in corrected_copy::write(&input.campaign, &comparison.findings, to, check)? {

@@ -14,8 +14,9 @@ use firmware::protocol::messages::LAYOUTS;
 use firmware::protocol::session::{op, status};
 use firmware::protocol::{DEFAULT_NODE, PROTOCOL_VERSION, frame_id};
 use firmware::system::faults::Fault;
-use model_export::output::{check_output, write_output};
+use model_export::output::write_same;
 
+use crate::commands::args::ForceArg;
 use report::text::terminal;
 
 /// First line of every file of this command, which identifies it.
@@ -36,16 +37,15 @@ pub struct Args {
     /// DBC file to write [default: stdout].
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
+    #[command(flatten)]
+    force: ForceArg,
 }
 
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
     let text = dbc(args.node);
     match &args.output {
-        Some(path) => {
-            check_output(path, MARK)?;
-            write_output(path, text.as_bytes(), MARK)?;
-        }
+        Some(path) => write_same(path, text.as_bytes(), args.force.overwrite())?,
         None => terminal::print(&text)?,
     }
     Ok(())

@@ -6,7 +6,7 @@ use analysis::compare::ForceError;
 use analysis::comparison::compare;
 use analysis::diagnose::observer::Observer;
 use analysis::diagnose::{Diagnosis, Scope, diagnose};
-use analysis::edit_model::refit;
+use analysis::edit_model::{edited_output, refit};
 use analysis::fit::fit_model;
 use analysis::model::Model;
 use analysis::progress;
@@ -18,8 +18,8 @@ use model_export::effects::EffectTerm;
 use model_export::fit::FitOptions;
 use model_export::inverse::build::{ModelVariant, build};
 use model_export::inverse::codegen::tables_source;
-use model_export::model_file::{BaseKind, EffectModel, ModelFile, TABLES_MARK};
-use model_export::output::write_output;
+use model_export::model_file::{self, BaseKind, EffectModel, ModelFile, TABLES_MARK};
+use model_export::output::Output;
 use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
 use model_export::recordings::campaign::recording_folders;
@@ -31,6 +31,7 @@ use sim::campaign;
 use sim::campaign::settings::CampaignSettings;
 use sim::effects::Effect;
 
+use crate::commands::args::ForceArg;
 use crate::commands::output::print_notes;
 
 /// The complete workflow on one campaign: fit, compare, diagnose, add the missing effects.
@@ -48,6 +49,8 @@ pub struct Args {
     /// Folder for models, tables and report.
     #[arg(short, long, value_name = "FOLDER", default_value = "magpie-demo")]
     output: PathBuf,
+    #[command(flatten)]
+    force: ForceArg,
     /// Print what each step computes: parameters, tables of errors, evidence.
     #[arg(short, long)]
     verbose: bool,
@@ -77,10 +80,14 @@ pub fn run(args: &Args) -> Result<()> {
     std::fs::create_dir_all(&args.output)
         .with_context(|| format!("{} cannot be made", args.output.display()))?;
     let model_path = args.output.join("model.toml");
+    let (inputs, overwrite) = (fingerprints(folder)?, args.force.overwrite());
+    let page_path = args.output.join("report.html");
+    let page = Output::check(&page_path, report::html::MARK, inputs.clone(), overwrite)?;
+    let model_file = Output::check(&model_path, model_file::SIGNATURE, inputs, overwrite)?;
     let options = FitOptions::default();
     let base = fit_model(folder, BaseKind::Cylinder, None, ALIGNMENT, options)?;
     print_notes(&base.notes);
-    base.model.write(&model_path)?;
+    base.model.write_output(&model_file)?;
     let base_model = Model::read(&model_path)?;
     let (campaign, model) = (&base.campaign, &base.model);
     let count = campaign.recordings.len();
@@ -108,7 +115,7 @@ pub fn run(args: &Args) -> Result<()> {
         ))?;
     }
     let diagnosis = diagnosed(campaign, &base_model, options)?;
-    let models = add_effects(campaign, &base_model, &diagnosis, &args.output, options)?;
+    let models = add_effects(args, campaign, &base_model, &diagnosis, options)?;
     let last = models.last().map_or(&model_path, |(_, path)| path);
     let comparison = match models.last() {
         Some((_, path)) => {
@@ -130,8 +137,9 @@ pub fn run(args: &Args) -> Result<()> {
     let held_out = text::comparison::conclusion::validation(&comparison);
     terminal::print(&error_table(&diagnosis, &model_path, &models, &held_out))?;
     let built = build(last, ModelVariant::Fitted)?;
-    write_output(&args.output.join("tables.rs"), tables_source(&built).as_bytes(), TABLES_MARK)?;
-    let page = args.output.join("report.html");
+    let tables_path = args.output.join("tables.rs");
+    Output::check(&tables_path, TABLES_MARK, built.model.inputs(), overwrite)?
+        .write(tables_source(&built).as_bytes())?;
     report::html::write(&page, &comparison, &report::html::diagnosis::effects_first(&diagnosis))?;
     terminal::print(&closing(&args.output))?;
     Ok(())
@@ -234,20 +242,21 @@ fn nonlinear_values(formula: &EffectModel) -> String {
 
 /// Adds the accepted effects one by one; returns what was added and the file of each model.
 fn add_effects(
+    args: &Args,
     campaign: &Campaign,
     base: &Model,
     diagnosis: &Diagnosis,
-    output: &Path,
     options: FitOptions,
 ) -> Result<Vec<(String, PathBuf)>> {
     let mut models = Vec::new();
     let mut added: Vec<EffectTerm> = Vec::new();
     for (i, (name, terms)) in diagnosis.accepted_steps()?.into_iter().enumerate() {
         added.extend(terms);
+        let path = args.output.join(format!("better-{}.toml", i + 1));
+        let output = edited_output(&path, base, &added, campaign, args.force.overwrite())?;
         let edit = refit(campaign.clone(), base, added.clone(), ALIGNMENT, options)?;
         print_notes(&edit.notes);
-        let path = output.join(format!("better-{}.toml", i + 1));
-        edit.model.write(&path)?;
+        edit.model.write_output(&output)?;
         models.push((name, path));
     }
     Ok(models)

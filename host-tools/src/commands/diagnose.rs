@@ -6,7 +6,8 @@ use std::sync::atomic::Ordering;
 use analysis::model::Model;
 use analysis::progress;
 use anyhow::Result;
-use model_export::output::{check_output, write_output};
+use model_export::output::{Output, Overwrite};
+use model_export::recordings::campaign::fingerprints;
 
 use crate::commands::args::{CompareArgs, ExprArgs};
 use crate::commands::interrupt::{INTERRUPTED, first_interrupt};
@@ -61,21 +62,30 @@ fn first_answer(first: &[FirstCandidate]) -> String {
 const PLAN_MARK: &str = "# Plan of a recording, by magpie diagnose.";
 
 /// Writes the proposed plan, if it has steps, and names the commands that carry it out.
-fn write_plan(args: &Args, path: &Path, proposal: &RecordingProposal) -> Result<()> {
+fn write_plan(args: &Args, output: &Output, proposal: &RecordingProposal) -> Result<()> {
     if proposal.plan.steps.is_empty() {
-        return args.common.print_line(&format!("{} was not written: no plan.", path.display()));
+        let path = output.path().display();
+        return args.common.print_line(&format!("{path} was not written: no plan."));
     }
-    args.common.print_line(&write_plan_file(path, &proposal.plan, &args.common.input.campaign)?)
+    args.common.print_line(&write_plan_file(output, &proposal.plan, &args.common.input.campaign)?)
+}
+
+/// The file of a plan that recordings of `campaign` lead to.
+///
+/// # Errors
+/// The path holds another file.
+pub fn plan_output(path: &Path, campaign: &Path, overwrite: Overwrite) -> Result<Output> {
+    Ok(Output::check(path, PLAN_MARK, fingerprints(campaign)?, overwrite)?)
 }
 
 /// Writes a plan; returns the commands that record it into `campaign`.
 ///
 /// # Errors
-/// The file cannot be written, or is of another origin.
-pub fn write_plan_file(path: &Path, plan: &RecordingPlan, campaign: &Path) -> Result<String> {
+/// The file cannot be written.
+pub fn write_plan_file(output: &Output, plan: &RecordingPlan, campaign: &Path) -> Result<String> {
     let text = format!("{PLAN_MARK}\n{}", plan.to_toml()?);
-    write_output(path, text.as_bytes(), PLAN_MARK)?;
-    let (path, campaign) = (path.display(), campaign.display());
+    output.write(text.as_bytes())?;
+    let (path, campaign) = (output.path().display(), campaign.display());
     let mut text =
         format!("Plan: {path}. Record it into the same campaign, then fit and diagnose again:");
     for number in 1..=plan.recordings {
@@ -90,10 +100,10 @@ pub fn write_plan_file(path: &Path, plan: &RecordingPlan, campaign: &Path) -> Re
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
     let common = &args.common;
-    common.check_output()?;
-    if let Some(path) = &args.plan {
-        check_output(path, PLAN_MARK)?;
-    }
+    let page = common.page()?;
+    let overwrite = common.force.overwrite();
+    let plan = |path| plan_output(path, &common.input.campaign, overwrite);
+    let plan = args.plan.as_deref().map(plan).transpose()?;
     let input = &common.input;
     let model = Model::read(&input.model)?;
     let (alignment, options) = (input.fit.align.alignment()?, input.fit.options());
@@ -116,14 +126,18 @@ pub fn run(args: &Args) -> Result<()> {
     drop(observer);
     bar.finish();
     terminal::print_result(input.fit.json, || to_json(&diagnosis), || format_report(&diagnosis))?;
-    if let Some((path, proposal)) = args.plan.as_ref().zip(diagnosis.proposal.as_ref()) {
-        write_plan(args, path, proposal)?;
+    if let Some((plan, proposal)) = plan.zip(diagnosis.proposal.as_ref()) {
+        write_plan(args, &plan, proposal)?;
     }
-    if common.output.is_some() {
+    if page.is_some() {
         checked.findings.clone_from(&diagnosis.findings);
         let comparison = compare_checked(&model, None, &checked, refit, options)?;
         print_notes(&comparison.notes);
-        common.write_report(&comparison, &report::html::diagnosis::sections(&diagnosis))?;
+        common.write_report(
+            page.as_ref(),
+            &comparison,
+            &report::html::diagnosis::sections(&diagnosis),
+        )?;
     }
     if diagnosis.is_interrupted {
         std::process::exit(INTERRUPTED);

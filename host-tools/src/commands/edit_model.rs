@@ -3,17 +3,15 @@
 use std::path::PathBuf;
 
 use analysis::compare::campaign_reader::read_campaign;
-use analysis::edit_model::{edited_effects, find_effects, refit};
+use analysis::edit_model::{edited_effects, edited_output, find_effects, refit};
 use analysis::model::Model;
 use anyhow::{Result, bail};
 use model_export::effects::EffectTerm;
-use model_export::model_file;
-use model_export::output::check_output;
 use model_export::recordings::Campaign;
 use report::text::edit_model::{format_report, to_json};
 use report::text::terminal;
 
-use crate::commands::args::{CampaignArgs, ExprArgs};
+use crate::commands::args::{CampaignArgs, ExprArgs, ForceArg};
 use crate::commands::output::print_notes;
 
 /// Arguments of `add` and `remove`.
@@ -24,6 +22,8 @@ struct EditArgs {
     /// Model file to write.
     #[arg(short, long, value_name = "NEW")]
     output: Option<PathBuf>,
+    #[command(flatten)]
+    force: ForceArg,
 }
 
 /// Reads the inputs, refits before and after the edit, prints the report and writes the new model.
@@ -31,19 +31,18 @@ fn edit(
     args: &EditArgs,
     edit_effects: impl Fn(&Model, &Campaign) -> Result<Vec<EffectTerm>>,
 ) -> Result<()> {
-    if let Some(path) = &args.output {
-        check_output(path, model_file::SIGNATURE)?;
-    }
     let model = Model::read(&args.input.model)?;
     let alignment = args.input.fit.align.alignment()?;
     let options = args.input.fit.options();
     let campaign = read_campaign(&args.input.campaign, alignment)?;
     let after = edit_effects(&model, &campaign)?;
+    let check = |path| edited_output(path, &model, &after, &campaign, args.force.overwrite());
+    let output = args.output.as_deref().map(check).transpose()?;
     let edited = refit(campaign, &model, after, alignment, options)?;
     print_notes(&edited.notes);
     terminal::print_result(args.input.fit.json, || to_json(&edited), || format_report(&edited))?;
-    if let Some(path) = &args.output {
-        edited.model.write(path)?;
+    if let Some(output) = &output {
+        edited.model.write_output(output)?;
     }
     if !args.input.fit.json {
         terminal::print_written(args.output.as_deref(), "-o NEW")?;

@@ -6,11 +6,11 @@ use analysis::notes::{Note, UncompensatedEffect};
 use analysis::replay::bags::write_bags;
 use anyhow::{Result, bail};
 use model_export::inverse::build::{DeviceModel, ModelVariant, build};
-use model_export::model_file::TABLES_MARK;
-use model_export::output::{check_output, write_output};
+use model_export::model_file::{ModelFile, TABLES_MARK};
+use model_export::output::Output;
 use serde_json::json;
 
-use crate::commands::args::AlignArgs;
+use crate::commands::args::{AlignArgs, ForceArg};
 use crate::commands::output::{
     check_compensated, print_conditions, print_missing_sensors, print_notes,
 };
@@ -38,6 +38,8 @@ pub struct Args {
     /// Rust source file to write; with --mcap, a folder that does not exist yet.
     #[arg(short, long, value_name = "PATH")]
     output: PathBuf,
+    #[command(flatten)]
+    force: ForceArg,
     /// Recurrent networks to run after the model, written by `magpie train`.
     #[arg(long, value_name = "NETWORK", conflicts_with = "nominal")]
     network: Option<PathBuf>,
@@ -61,8 +63,9 @@ pub fn run(args: &Args) -> Result<()> {
     if args.align.alignment()?.delay_us != 0.0 {
         bail!("--delay-ms is of the recordings of --mcap; tables have no reference");
     }
-    check_output(&args.output, TABLES_MARK)?;
     let built = build(&args.model, variant)?;
+    let (inputs, overwrite) = (built.model.inputs(), args.force.overwrite());
+    let output = Output::check(&args.output, TABLES_MARK, inputs, overwrite)?;
     built.check_sensors(&args.model)?;
     if !args.uncompensated {
         check_compensated(&built, "export")?;
@@ -70,7 +73,7 @@ pub fn run(args: &Args) -> Result<()> {
     let networks =
         args.network.as_deref().map(|path| NetworkSet::read(path, &built)).transpose()?;
     let source = tables_source(&built, networks.as_ref())?;
-    write_output(&args.output, source.as_bytes(), TABLES_MARK)?;
+    output.write(source.as_bytes())?;
     let uncompensated = UncompensatedEffect::of(&built).map(Note::Uncompensated);
     print_notes(&uncompensated.collect::<Vec<_>>());
     print_conditions(&built);

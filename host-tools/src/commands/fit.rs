@@ -8,12 +8,13 @@ use analysis::fit::fit_model;
 use anyhow::Result;
 use clap::ValueEnum;
 use model_export::model_file::{self, BaseKind};
-use model_export::output::check_output;
+use model_export::output::Output;
+use model_export::recordings::campaign::fingerprints;
 use report::text::findings::message;
 use report::text::fit::{format_report, to_json};
 use report::text::terminal;
 
-use crate::commands::args::FitArgs;
+use crate::commands::args::{FitArgs, ForceArg};
 use crate::commands::output::print_notes;
 
 /// Fit the base physics to a campaign and write a model file.
@@ -30,6 +31,8 @@ pub struct Args {
     /// Model file to write.
     #[arg(short, long, value_name = "MODEL")]
     output: Option<PathBuf>,
+    #[command(flatten)]
+    force: ForceArg,
     /// Base physics.
     #[arg(long, value_enum, default_value = "cylinder")]
     base: BaseChoice,
@@ -67,9 +70,6 @@ pub fn run(args: &Args) -> Result<()> {
     if args.degree.is_some() && args.base == BaseChoice::Cylinder {
         anyhow::bail!("--degree requires --base polynomial; the cylinder base has no degree");
     }
-    if let Some(path) = &args.output {
-        check_output(path, model_file::SIGNATURE)?;
-    }
     let alignment = args.fit.align.alignment()?;
     if let Some(to) = &args.fix {
         let check = |folder: &Path| scan_with_progress(folder, alignment);
@@ -101,12 +101,17 @@ pub fn run(args: &Args) -> Result<()> {
         eprintln!("Corrected and checked: {}", to.display());
     }
     let campaign = args.fix.as_ref().unwrap_or(&args.campaign);
+    let check = |path| {
+        let inputs = fingerprints(campaign)?;
+        Output::check(path, model_file::SIGNATURE, inputs, args.force.overwrite())
+    };
+    let output = args.output.as_deref().map(check).transpose()?;
     let options = args.fit.options();
     let fit = fit_model(campaign, args.base.kind(), args.degree, alignment, options)?;
     print_notes(&fit.notes);
     terminal::print_result(args.fit.json, || to_json(&fit), || format_report(&fit))?;
-    if let Some(path) = &args.output {
-        fit.model.write(path)?;
+    if let Some(output) = &output {
+        fit.model.write_output(output)?;
     }
     if !args.fit.json {
         terminal::print_written(args.output.as_deref(), "-o model.toml")?;

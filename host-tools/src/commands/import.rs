@@ -4,9 +4,10 @@ use std::path::PathBuf;
 
 use analysis::import::import_campaign;
 use anyhow::Result;
-use model_export::output::write_new;
+use model_export::output::write_same;
 use model_export::recordings::guess;
 
+use crate::commands::args::ForceArg;
 use crate::commands::output::print_notes;
 use report::text::import::{format_import, format_proposal, proposal_json, to_json};
 use report::text::terminal;
@@ -52,9 +53,11 @@ pub struct Args {
     /// Write a mapping file proposed from the names and values of these files (or folders of two files), to be checked.
     #[arg(long, value_name = "SOURCE", num_args = 1.., conflicts_with_all = ["mapping", "sources"])]
     guess: Vec<PathBuf>,
-    /// Folder of the new campaign, or file of the proposed mapping; must not exist yet.
+    /// Folder of the new campaign, which must not exist yet, or file of the proposed mapping.
     #[arg(short, long, value_name = "PATH")]
     output: PathBuf,
+    #[command(flatten)]
+    force: ForceArg,
     /// Print one JSON object on stdout and nothing else.
     #[arg(long)]
     json: bool,
@@ -80,7 +83,7 @@ pub fn run(args: &Args) -> Result<()> {
 /// Writes a proposed mapping.
 fn propose(args: &Args) -> Result<()> {
     let proposal = guess::propose(&args.guess)?;
-    write_new(&args.output, proposal.text.as_bytes())?;
+    write_same(&args.output, proposal.text.as_bytes(), args.force.overwrite())?;
     terminal::print_result(
         args.json,
         || proposal_json(&proposal, &args.output),

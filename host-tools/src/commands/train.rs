@@ -12,9 +12,10 @@ use model_export::gru::tensors::TensorFileKind;
 use model_export::gru::train::checkpoint;
 use model_export::gru::train::dataset::Topology;
 use model_export::gru::train::trainer::{Trainer, TrainingSettings};
-use model_export::output::check_output;
+use model_export::output::{Output, Overwrite};
+use model_export::recordings::campaign::fingerprints;
 
-use crate::commands::args::AlignArgs;
+use crate::commands::args::{AlignArgs, ForceArg};
 use crate::commands::interrupt::{INTERRUPTED, first_interrupt};
 use crate::commands::output::print_notes;
 use analysis::network_training::dataset::TrainingData;
@@ -79,6 +80,8 @@ pub struct Args {
     /// Network file to write.
     #[arg(short, long, value_name = "NETWORK")]
     output: Option<PathBuf>,
+    #[command(flatten)]
+    force: ForceArg,
     /// Field axes that are inputs.
     #[arg(long, value_enum, default_value = "xyz")]
     axes: Axes,
@@ -130,26 +133,29 @@ enum TargetArg {
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
     args.check()?;
-    if let Some(path) = &args.output {
-        check_output(path, TensorFileKind::Network.mark())?;
+    if args.checkpoint.is_some() && args.output == args.checkpoint {
+        bail!("network and checkpoint need different files");
     }
-    if let Some(path) = &args.checkpoint {
-        check_output(path, TensorFileKind::Checkpoint.mark())?;
-        if args.output.as_ref() == Some(path) {
-            bail!("network and checkpoint need different files");
-        }
-    }
+    let check = |path| {
+        let (mark, overwrite) = (TensorFileKind::Network.mark(), args.force.overwrite());
+        Output::check(path, mark, fingerprints(&args.campaign)?, overwrite)
+    };
+    let output = args.output.as_deref().map(check).transpose()?;
     let start = Instant::now();
     let alignment = args.align.alignment()?;
     let data = TrainingData::read(&args.model, &args.campaign, args.hold_out, alignment)?;
     print_notes(&data.notes);
+    // A training resumes from no file but its own.
+    let overwrite = if args.resume { Overwrite::Forced } else { args.force.overwrite() };
+    let checkpoint = args.checkpoint.as_deref();
+    let checkpoint = checkpoint.map(|path| data.checkpoint(path, overwrite)).transpose()?;
     let mut trainer = Trainer::new(
         args.settings(data.built.model.force_range_n()),
         args.topology(),
         &data.training,
         &data.held_out,
     )?;
-    if let Some(interrupted) = train(args, &mut trainer, &data.key())? {
+    if let Some(interrupted) = train(args, checkpoint.as_ref(), &mut trainer, &data)? {
         eprintln!("{interrupted}");
         std::process::exit(INTERRUPTED);
     }
@@ -159,8 +165,8 @@ pub fn run(args: &Args) -> Result<()> {
         || to_json(&evaluation, &data.notes),
         || format_report(&evaluation),
     )?;
-    if let Some(path) = &args.output {
-        evaluation.network_file(&trainer, &data).write(path)?;
+    if let Some(output) = &output {
+        evaluation.network_file(&trainer, &data).write(output)?;
     }
     if !args.json {
         terminal::print(&match &args.output {
@@ -222,11 +228,17 @@ impl Args {
 }
 
 /// Trains until early stopping, with a checkpoint after each epoch if requested. If Ctrl-C ended it, returns how it resumes.
-fn train(args: &Args, trainer: &mut Trainer, key: &str) -> Result<Option<String>> {
+fn train(
+    args: &Args,
+    output: Option<&Output>,
+    trainer: &mut Trainer,
+    data: &TrainingData,
+) -> Result<Option<String>> {
     let interrupted = first_interrupt()?;
+    let key = data.key();
     if let Some(path) = &args.checkpoint {
         match (args.resume, path.exists()) {
-            (true, true) => checkpoint::resume(path, trainer, key)?,
+            (true, true) => checkpoint::resume(path, trainer, &key)?,
             (true, false) => {
                 eprintln!("note: {}: no checkpoint; starting from the beginning", path.display())
             }
@@ -244,12 +256,12 @@ fn train(args: &Args, trainer: &mut Trainer, key: &str) -> Result<Option<String>
             progress.training_loss, progress.held_out_loss
         ));
         bar.inc(1);
-        if let Some(path) = &args.checkpoint {
-            checkpoint::write(path, trainer, key)?;
+        if let Some(output) = output {
+            checkpoint::write(output, trainer, &key)?;
         }
         if interrupted.load(Ordering::Relaxed) {
             bar.finish_and_clear();
-            return Ok(Some(saved(args, trainer, key)?));
+            return Ok(Some(saved(args, output, trainer, data)?));
         }
         let longest = start.elapsed() * epochs.saturating_sub(trainer.epoch);
         if !is_announced && longest > ANNOUNCED {
@@ -280,19 +292,26 @@ fn vacant_checkpoint(network: &Path) -> Option<PathBuf> {
 }
 
 /// Writes a checkpoint of an interrupted training, unless there is no place for it; how it resumes.
-fn saved(args: &Args, trainer: &Trainer, key: &str) -> Result<String> {
+fn saved(
+    args: &Args,
+    output: Option<&Output>,
+    trainer: &Trainer,
+    data: &TrainingData,
+) -> Result<String> {
     let done = format!("Interrupted after epoch {}", trainer.epoch);
-    let new = || args.output.as_deref().and_then(vacant_checkpoint);
-    let Some(path) = args.checkpoint.clone().or_else(new) else {
+    let vacant = args.output.as_deref().and_then(vacant_checkpoint);
+    let new = |path: PathBuf| data.checkpoint(&path, args.force.overwrite());
+    let new = vacant.filter(|_| output.is_none()).map(new).transpose()?;
+    let Some(output) = output.or(new.as_ref()) else {
         return Ok(format!(
             "{done}; nothing is saved, because neither -o nor --checkpoint was given."
         ));
     };
-    checkpoint::write(&path, trainer, key)?;
+    checkpoint::write(output, trainer, &data.key())?;
     let words: Vec<String> = std::env::args().skip(1).collect();
     let mut words: Vec<&str> =
         ["cargo", "magpie"].into_iter().chain(words.iter().map(String::as_str)).collect();
-    let name = path.display().to_string();
+    let name = output.path().display().to_string();
     if args.checkpoint.is_none() {
         words.extend(["--checkpoint", &name]);
     }

@@ -138,7 +138,7 @@ fn key_on_a_full_disk_leaves_no_file() {
     assert!(!dir.path("key.txt").exists() && drafts(&dir).is_empty(), "{message}");
     dir.stdout("board key new key.txt");
     assert_eq!(dir.read("key.txt").trim().len(), 32);
-    assert!(refusal(&dir, "board key new key.txt").contains("never overwritten"));
+    assert!(refusal(&dir, "board key new key.txt").contains("not overwritten"));
 }
 
 #[test]
@@ -151,7 +151,7 @@ fn parallel_writers_leave_one_campaign_with_its_truth() {
     let outputs = [run("1"), run("2")].map(|process| process.wait_with_output().unwrap());
     let winner = outputs.iter().position(|output| output.status.success()).unwrap();
     let message = text(&outputs[1 - winner].stderr);
-    assert!(message.contains("refusing to overwrite"), "{message}");
+    assert!(message.contains("not overwritten"), "{message}");
     assert!(dir.read("one-truth.toml").contains(&format!("\nseed = {}\n", winner + 1)));
     let seed = winner + 1;
     dir.stdout(&format!("simulate -o again --seconds 3 --recordings 1 --seed {seed}"));

@@ -1,6 +1,7 @@
 //! The command line: exit codes, output formats, error messages, reproducibility.
 
 use std::collections::BTreeSet;
+use std::fs;
 
 use device::control::result_code::ResultCode;
 use serde_json::Value;
@@ -258,6 +259,17 @@ fn real_lattice_measurements_are_imported_and_fitted() {
         );
     }
     let fit = dir.json("fit eflesh --base polynomial --degree 5 --json");
+    // Those of the three recordings are one.
+    let notices: Vec<&str> =
+        fit["notices"].as_array().unwrap().iter().filter_map(Value::as_str).collect();
+    let gaps = notices.iter().filter(|notice| notice.contains("gaps in the clock"));
+    assert_eq!(gaps.clone().count(), 2, "{notices:?}");
+    assert!(
+        gaps.clone()
+            .all(|notice| notice
+                .ends_with("(recordings 1, 2, 3; the numbers are those of the first)")),
+        "{notices:?}"
+    );
     assert_eq!(fit["axes"].as_array().unwrap().len(), 15);
     // Residual of a polynomial of the force over all fifteen channels: 71 ± 3 uT.
     let microtesla = 100.0 * fit["held_out_rms_g"].as_f64().unwrap();
@@ -266,7 +278,46 @@ fn real_lattice_measurements_are_imported_and_fitted() {
     let rms_n = force(&fit, "rms_n");
     assert!((1.0..=2.5).contains(&rms_n), "{rms_n} N");
     let message = dir.failure(&["import", &mapping, a, "-o", "eflesh"]);
-    assert!(message.contains("an import never overwrites"), "{message}");
+    assert!(message.contains("it is not overwritten"), "{message}");
+}
+
+#[test]
+fn files_of_other_inputs_are_kept_without_force() {
+    let dir = WorkDir::with_model("clean");
+    let [clean, demo] = ["clean", "demo"].map(campaign);
+    let kept = |line: &str| {
+        let path = line.rsplit(' ').next().unwrap();
+        let before = fs::read(dir.path(path)).unwrap();
+        let message = dir.failure(line);
+        assert!(message.ends_with(&format!(
+            "magpie: {path}: the output path exists and is not an earlier result of the same inputs; it is not \
+             overwritten: choose another path, or give --force\n"
+        )), "{message}");
+        assert_eq!(fs::read(dir.path(path)).unwrap(), before, "{line}");
+    };
+    dir.stdout(&format!("fit {clean} -o model.toml"));
+    kept(&format!("fit {demo} -o model.toml"));
+    kept(&format!("compare model.toml {clean} -o model.toml"));
+    dir.stdout(&format!("compare model.toml {clean} -o report.html"));
+    kept(&format!("compare model.toml {demo} -o report.html"));
+    kept("design sweep --count 100 -o report.html");
+    dir.stdout("dev export model.toml -o tables.rs");
+    dir.stdout("dev export model.toml -o tables.rs");
+    dir.stdout(&format!("fit {demo} -o demo.toml"));
+    kept("dev export demo.toml -o tables.rs");
+    dir.stdout("dev export demo.toml --force -o tables.rs");
+    dir.stdout("dev dbc -o gripper.dbc");
+    dir.stdout("dev dbc -o gripper.dbc");
+    kept("dev dbc --node 17 -o gripper.dbc");
+    dir.stdout("design optimize --range 150 --count 100 -o design.toml");
+    kept("design optimize --range 200 --count 100 -o design.toml");
+    // An edit extends the model that it reads; a fit would lose its effects.
+    dir.stdout(&format!("add model.toml {clean} tip_slope -o model.toml"));
+    kept(&format!("fit {clean} -o model.toml"));
+    kept(&format!("add demo.toml {demo} tip_slope -o model.toml"));
+    dir.stdout(&format!("remove model.toml {clean} tip_slope -o model.toml"));
+    dir.stdout(&format!("fit {demo} --force -o model.toml"));
+    assert_eq!(dir.read("model.toml"), dir.read("demo.toml"));
 }
 
 #[test]

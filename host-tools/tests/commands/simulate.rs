@@ -196,8 +196,8 @@ fn existing_files_and_truth_in_campaign_are_rejected() {
     let dir = WorkDir::empty();
     simulated(&dir, "one", &["--seconds", "3"]);
     for (arguments, words) in [
-        ("-o one", "refusing to overwrite"),
-        ("-o two --truth one-truth.toml", "refusing to overwrite"),
+        ("-o one", "not overwritten"),
+        ("-o two --truth one-truth.toml", "not overwritten"),
         ("-o two --truth two/truth.toml", "choose a path outside"),
     ] {
         let message = dir.failure(&format!("simulate {arguments}"));

@@ -149,6 +149,11 @@ pub fn recording_folders(folder: &Path) -> Result<Vec<PathBuf>, DataError> {
     Ok(folders)
 }
 
+/// SHA-256 of each recording of a campaign, by which output files name it as their input.
+pub fn fingerprints(folder: &Path) -> Result<Vec<String>, DataError> {
+    recording_folders(folder)?.iter().map(|folder| fingerprint(folder)).collect()
+}
+
 /// Names of the folders that are campaigns.
 fn several_campaigns(folder: &Path) -> Option<String> {
     let folders = |folder: &Path| -> Vec<PathBuf> {

@@ -194,12 +194,8 @@ pub enum ErrorKind {
         "this is a file, not a campaign folder; of a command with both the order is MODEL CAMPAIGN"
     )]
     CampaignIsFile,
-    #[error(
-        "the output path exists and was not written by magpie; it is not overwritten: choose another path"
-    )]
-    OutputExists,
-    #[error("exists: refusing to overwrite; choose another path, or remove it")]
-    PathExists,
+    #[error("the output path exists{why}; it is not overwritten: {remedy}")]
+    OutputExists { why: &'static str, remedy: &'static str },
     #[error(
         "this is not a text file; if it is compressed, its name must end in .csv.gz, else save it as plain CSV (comma, UTF-8)"
     )]
@@ -291,6 +287,11 @@ impl ErrorKind {
     /// A [`ErrorKind::BadValue`].
     pub fn bad_value(found: impl Into<String>, advice: impl Into<String>) -> Self {
         Self::BadValue { found: found.into(), advice: advice.into() }
+    }
+
+    /// An output path that a command never replaces exists.
+    pub fn exists() -> Self {
+        Self::OutputExists { why: "", remedy: "choose another path, or remove it" }
     }
 
     /// Whether the values are those of another unit or clock.

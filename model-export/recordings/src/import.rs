@@ -20,7 +20,7 @@ use crate::mapping::{
     euler_angles,
 };
 use crate::mcap::{self, BagTopics, Join, Undecodable};
-use crate::output::StagingDir;
+use crate::output::{StagingDir, check_vacant};
 use crate::units::{find_unit, round_significant};
 
 /// Significant digits of imported values: exceeds the resolution of any sensor, avoids 0.30000000000000004.
@@ -47,10 +47,7 @@ pub fn import(
     done: impl Fn(&Path),
 ) -> Result<(Vec<Imported>, Vec<Notice>), DataError> {
     let mapping = Mapping::read(mapping_path)?;
-    if target.exists() {
-        let advice = "choose another folder or remove this one: an import never overwrites";
-        return Err(ErrorKind::bad_value("an existing folder", advice).at(Location::file(target)));
-    }
+    check_vacant(target)?;
     let draft = StagingDir::new(target, "import")?;
     if !mapping.starts_s.is_empty() && mapping.starts_s.len() != sources.len() {
         let found = format!("{} starts for {} sources", mapping.starts_s.len(), sources.len());

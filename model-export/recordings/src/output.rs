@@ -1,31 +1,142 @@
 //! Output files: written atomically, never over files of another origin.
 
 use std::fs::{File, TryLockError};
-use std::io::{Read, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use tempfile::{NamedTempFile, TempDir};
 
 use crate::error::{DataError, ErrorKind, Location};
 
-/// Bytes that identify a file of this tool.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// Bytes that identify a file of this tool, and how such a file names its inputs.
+#[derive(Clone, Copy, Debug)]
 pub struct FileSignature<'a> {
     /// Offset of the signature in bytes; some formats begin with a length.
     pub offset: usize,
     /// The signature.
     pub text: &'a str,
+    /// How a file names what it was written from.
+    pub inputs: NamedInputs,
+}
+
+/// How a file names what it was written from.
+#[derive(Clone, Copy, Debug)]
+pub enum NamedInputs {
+    /// A comment in the second line, between these texts.
+    Comment(&'static str, &'static str),
+    /// The content, which this function reads.
+    Content(fn(&[u8]) -> Option<Vec<String>>),
 }
 
 impl<'a> From<&'a str> for FileSignature<'a> {
-    /// At offset zero.
+    /// At offset zero, with a comment of the kind of the signature.
     fn from(text: &'a str) -> Self {
-        Self { offset: 0, text }
+        let (open, close) = match text {
+            page if page.starts_with("<!--") => ("<!-- inputs: ", " -->"),
+            source if source.starts_with("//") => ("// inputs: ", ""),
+            _ => ("# inputs: ", ""),
+        };
+        Self { offset: 0, text, inputs: NamedInputs::Comment(open, close) }
     }
 }
 
+impl FileSignature<'_> {
+    fn is_of(&self, bytes: &[u8]) -> bool {
+        bytes.get(self.offset..).is_some_and(|rest| rest.starts_with(self.text.as_bytes()))
+    }
+
+    fn inputs_of(&self, bytes: &[u8]) -> Option<Vec<String>> {
+        let (open, close) = match self.inputs {
+            NamedInputs::Comment(open, close) => (open, close),
+            NamedInputs::Content(read) => return read(bytes),
+        };
+        let line = bytes.split(|byte| *byte == b'\n').nth(1)?;
+        let names = str::from_utf8(line).ok()?.strip_prefix(open)?.strip_suffix(close)?;
+        Some(names.split_whitespace().map(str::to_owned).collect())
+    }
+}
+
+/// What a command does with another file at its output path.
+#[derive(Clone, Copy, Debug)]
+pub enum Overwrite {
+    /// The user asked for it.
+    Forced,
+    /// It is kept; the error ends with this remedy.
+    Refused {
+        /// As in "choose another path".
+        remedy: &'static str,
+    },
+}
+
+/// A file that a command may write: nothing is at its path, or an earlier result of the same inputs, or the user forces it.
+#[derive(Clone, Debug)]
+pub struct Output {
+    path: PathBuf,
+    signature: FileSignature<'static>,
+    inputs: Vec<String>,
+    overwrite: Overwrite,
+}
+
+impl Output {
+    /// Checks an output path, before long computations. An existing file is replaced only if it is empty or names nothing but
+    /// these inputs, or some of them; symbolic links are followed.
+    ///
+    /// # Errors
+    /// The path holds another file, or the file system refuses.
+    pub fn check(
+        path: &Path,
+        signature: impl Into<FileSignature<'static>>,
+        inputs: Vec<String>,
+        overwrite: Overwrite,
+    ) -> Result<Self, DataError> {
+        let (path, signature) = (path.to_path_buf(), signature.into());
+        let output = Self { path, signature, inputs, overwrite };
+        output.target()?;
+        Ok(output)
+    }
+
+    fn target(&self) -> Result<PathBuf, DataError> {
+        check_replaceable(&self.path, self.overwrite, |bytes| {
+            let named = self.signature.inputs_of(bytes);
+            let is_own = |named: Vec<String>| named.iter().all(|name| self.inputs.contains(name));
+            self.signature.is_of(bytes) && named.is_some_and(is_own)
+        })
+    }
+
+    /// The path as the user gave it.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Writes a file that begins with the signature, and names the inputs in it; it appears complete.
+    ///
+    /// # Errors
+    /// The path holds another file in the meantime, or the file system refuses.
+    pub fn write(&self, bytes: &[u8]) -> Result<(), DataError> {
+        let draft = match self.signature.inputs {
+            NamedInputs::Content(_) => bytes.to_vec(),
+            NamedInputs::Comment(open, close) => {
+                let line = bytes.iter().position(|byte| *byte == b'\n').map_or(0, |end| end + 1);
+                let (first, rest) = bytes.split_at(line);
+                let named = format!("{open}{}{close}\n", self.inputs.join(" "));
+                [first, named.as_bytes(), rest].concat()
+            }
+        };
+        replace(&self.path, &self.target()?, &draft)
+    }
+}
+
+/// Writes `bytes`; an existing file with another content is replaced only if the user forces it.
+///
+/// # Errors
+/// The path holds another file, or the file system refuses.
+pub fn write_same(path: &Path, bytes: &[u8], overwrite: Overwrite) -> Result<(), DataError> {
+    let target = check_replaceable(path, overwrite, |existing| existing == bytes)?;
+    replace(path, &target, bytes)
+}
+
 /// Writes `bytes` to a temporary file in the folder of `path` and renames it. An existing file is replaced
-/// only if it is empty or has the signature; symbolic links are followed.
+/// only if it is empty or has the signature: for a file that is one of the inputs of its command.
 ///
 /// # Errors
 /// The path holds a file of another origin, or the file system refuses.
@@ -34,9 +145,12 @@ pub fn write_output<'a>(
     bytes: &[u8],
     signature: impl Into<FileSignature<'a>>,
 ) -> Result<(), DataError> {
-    let target = check_output(path, signature)?;
-    let draft = draft_file(path, &target, bytes, SHARED)?;
-    draft.persist(&target).map_err(|error| unwritable(path, error.error))?;
+    replace(path, &check_output(path, signature)?, bytes)
+}
+
+fn replace(path: &Path, target: &Path, bytes: &[u8]) -> Result<(), DataError> {
+    let draft = draft_file(path, target, bytes, SHARED)?;
+    draft.persist(target).map_err(|error| unwritable(path, error.error))?;
     Ok(())
 }
 
@@ -72,7 +186,7 @@ fn write_new_with(path: &Path, bytes: &[u8], mode: u32) -> Result<File, DataErro
     check_absent(path)?;
     let draft = draft_file(path, path, bytes, mode)?;
     draft.persist_noclobber(path).map_err(|error| match error.error.kind() {
-        std::io::ErrorKind::AlreadyExists => ErrorKind::PathExists.at(Location::file(path)),
+        std::io::ErrorKind::AlreadyExists => ErrorKind::exists().at(Location::file(path)),
         _ => unwritable(path, error.error),
     })
 }
@@ -113,12 +227,36 @@ pub fn check_output<'a>(
     path: &Path,
     signature: impl Into<FileSignature<'a>>,
 ) -> Result<PathBuf, DataError> {
+    let signature = signature.into();
+    let overwrite = Overwrite::Refused { remedy: "choose another path" };
+    check_replaceable(path, overwrite, |bytes| signature.is_of(bytes))
+}
+
+/// The resolved path of an output file that may be written: nothing is there, or an empty file, or one that `is_same` accepts, or
+/// any file that the user wants to replace.
+fn check_replaceable(
+    path: &Path,
+    overwrite: Overwrite,
+    is_same: impl FnOnce(&[u8]) -> bool,
+) -> Result<PathBuf, DataError> {
     let target = match path.symlink_metadata() {
         Ok(_) => path.canonicalize().map_err(|error| unwritable(path, error))?,
         Err(_) => path.to_path_buf(),
     };
-    if target.exists() && !is_replaceable(&target, signature.into()) {
-        return Err(ErrorKind::OutputExists.at(Location::file(path)));
+    if target.exists() {
+        let is_same = || {
+            let is_short = target.metadata().is_ok_and(|file| file.len() <= MAX_REPLACED_BYTES);
+            is_short && std::fs::read(&target).is_ok_and(|old| old.is_empty() || is_same(&old))
+        };
+        let refused = match overwrite {
+            _ if !target.is_file() => Some("choose another path"),
+            Overwrite::Forced => None,
+            Overwrite::Refused { remedy } => (!is_same()).then_some(remedy),
+        };
+        if let Some(remedy) = refused {
+            let why = " and is not an earlier result of the same inputs";
+            return Err(ErrorKind::OutputExists { why, remedy }.at(Location::file(path)));
+        }
     }
     let folder = folder_of(&target);
     if !folder.exists() {
@@ -130,6 +268,9 @@ pub fn check_output<'a>(
     trial.map_err(|error| unwritable(path, error))?;
     Ok(target)
 }
+
+/// Larger files are not read to see what they are: none that a command replaces is as long.
+const MAX_REPLACED_BYTES: u64 = 1 << 30;
 
 /// Start of the name of every temporary file and folder.
 const DRAFT_PREFIX: &str = ".magpie-";
@@ -250,7 +391,7 @@ pub fn check_vacant(target: &Path) -> Result<(), DataError> {
 /// It exists.
 pub fn check_absent(target: &Path) -> Result<(), DataError> {
     match target.symlink_metadata() {
-        Ok(_) => Err(ErrorKind::PathExists.at(Location::file(target))),
+        Ok(_) => Err(ErrorKind::exists().at(Location::file(target))),
         Err(_) => Ok(()),
     }
 }
@@ -266,19 +407,6 @@ pub(crate) fn folder_of(path: &Path) -> &Path {
 fn unwritable(path: &Path, error: std::io::Error) -> DataError {
     // Only the kind: the message would name the temporary file.
     ErrorKind::Unwritable(std::io::Error::from(error.kind())).at(Location::file(path))
-}
-
-/// An empty file, or one with the signature.
-fn is_replaceable(path: &Path, signature: FileSignature) -> bool {
-    let Ok(metadata) = path.metadata() else {
-        return false;
-    };
-    let mut start = vec![0; signature.offset + signature.text.len()];
-    let mut has_signature = || {
-        File::open(path).and_then(|mut file| file.read_exact(&mut start)).is_ok()
-            && start[signature.offset..] == *signature.text.as_bytes()
-    };
-    metadata.is_file() && (metadata.len() == 0 || has_signature())
 }
 
 #[cfg(test)]
@@ -308,13 +436,13 @@ mod tests {
         assert_eq!(names(folder.path()).len(), 2);
         first.commit(&target).unwrap();
         let message = second.commit(&target).unwrap_err().to_string();
-        assert!(message.contains("refusing to overwrite"), "{message}");
+        assert!(message.contains("not overwritten"), "{message}");
         assert_eq!(names(folder.path()), ["campaign"]);
         assert_eq!(fs::read_to_string(target.join("file")).unwrap(), "first");
         let path = folder.path().join("truth");
         write_new(&path, b"first").unwrap();
         let message = write_new(&path, b"second").unwrap_err().to_string();
-        assert!(message.contains("refusing to overwrite"), "{message}");
+        assert!(message.contains("not overwritten"), "{message}");
         assert_eq!(fs::read_to_string(&path).unwrap(), "first");
         assert_eq!(names(folder.path()), ["campaign", "truth"]);
     }

@@ -11,6 +11,7 @@ use crate::gru::tensors::{self, NamedTensor, TensorFile, TensorFileKind};
 use crate::gru::train::dataset::Topology;
 use crate::gru::train::trainer::{BestEpoch, TrainingSettings};
 use crate::input::MAX_HIDDEN;
+use crate::output::Output;
 use crate::recordings::recording::hex;
 use crate::recordings::{DataError, Location};
 
@@ -89,7 +90,7 @@ pub fn fingerprint(networks: &[Network]) -> String {
 
 impl NetworkFile {
     /// Writes the file, whole or not at all.
-    pub fn write(&self, path: &Path) -> Result<(), DataError> {
+    pub fn write(&self, output: &Output) -> Result<(), DataError> {
         let arrays: Vec<NamedTensor> = self
             .networks
             .iter()
@@ -101,7 +102,7 @@ impl NetworkFile {
             provenance: self.provenance.clone(),
             networks: self.networks.iter().map(Scales::of).collect(),
         };
-        tensors::write(path, TensorFileKind::Network, &description, &arrays)
+        tensors::write(output, TensorFileKind::Network, &description, &arrays)
     }
 
     /// Reads and checks a file.
@@ -206,6 +207,7 @@ impl Scales {
 mod tests {
     use super::super::network::Input;
     use super::*;
+    use crate::output::Overwrite;
 
     fn network(hidden: usize, inputs: usize) -> Network {
         let values = |count: usize| (0..count).map(|i| 0.1 * i as f32 - 0.7).collect::<Vec<_>>();
@@ -266,6 +268,11 @@ mod tests {
         }
     }
 
+    fn output(path: &Path) -> Result<Output, DataError> {
+        let overwrite = Overwrite::Refused { remedy: "choose another path" };
+        Output::check(path, TensorFileKind::Network.mark(), Vec::new(), overwrite)
+    }
+
     fn refused(path: &Path) -> String {
         NetworkFile::read(path).unwrap_err().to_string()
     }
@@ -274,10 +281,10 @@ mod tests {
     fn network_file_round_trips_and_may_be_overwritten() {
         let folder = tempfile::TempDir::new().unwrap();
         let path = folder.path().join("network");
-        file().write(&path).unwrap();
+        file().write(&output(&path).unwrap()).unwrap();
         let first = std::fs::read(&path).unwrap();
         assert_eq!(NetworkFile::read(&path).unwrap(), file());
-        file().write(&path).unwrap();
+        file().write(&output(&path).unwrap()).unwrap();
         assert_eq!(std::fs::read(&path).unwrap(), first);
     }
 
@@ -291,7 +298,8 @@ mod tests {
             provenance: file().provenance,
             networks: vec![Scales::of(&network(2, 3))],
         };
-        tensors::write(&path, TensorFileKind::Network, &description, &arrays).unwrap();
+        tensors::write(&output(&path).unwrap(), TensorFileKind::Network, &description, &arrays)
+            .unwrap();
         let message = refused(&path);
         assert!(message.contains(": network0.layer1.input_weights has the shape"), "{message}");
         assert!(message.contains("[9, 3] where [6, 3] is expected"), "{message}");
@@ -308,11 +316,13 @@ mod tests {
         };
         let mut all = arrays(0, &network(2, 3));
         all.retain(|array| array.name != "network0.head.bias");
-        tensors::write(&path, TensorFileKind::Network, &description(), &all).unwrap();
+        tensors::write(&output(&path).unwrap(), TensorFileKind::Network, &description(), &all)
+            .unwrap();
         assert!(refused(&path).contains("network0.head.bias is missing"));
         let mut all = arrays(0, &network(2, 3));
         all[5].values[1] = f32::NAN;
-        tensors::write(&path, TensorFileKind::Network, &description(), &all).unwrap();
+        tensors::write(&output(&path).unwrap(), TensorFileKind::Network, &description(), &all)
+            .unwrap();
         assert!(
             refused(&path)
                 .contains("network0.layer2.state_weights contains a number that is not finite")
@@ -326,14 +336,14 @@ mod tests {
         let text = "# my notes, which are long enough to hold whatever mark there is in our files";
         std::fs::write(&path, text).unwrap();
         assert!(refused(&path).contains("this is not a network"));
-        assert!(file().write(&path).unwrap_err().to_string().contains("not overwritten"));
+        assert!(output(&path).unwrap_err().to_string().contains("not overwritten"));
         // Safetensors of other origin.
         let foreign = br#"{"__metadata__":{"format":"pt"}}"#;
         let mut bytes = (foreign.len() as u64).to_le_bytes().to_vec();
         bytes.extend(foreign);
         std::fs::write(&path, &bytes).unwrap();
         assert!(refused(&path).contains("this is not a network"));
-        assert!(file().write(&path).is_err());
+        assert!(output(&path).is_err());
         assert_eq!(std::fs::read(&path).unwrap(), bytes);
     }
 
@@ -353,7 +363,8 @@ mod tests {
                 networks: scales,
             };
             let arrays = arrays(0, &network(2, 3));
-            tensors::write(&path, TensorFileKind::Network, &description, &arrays).unwrap();
+            tensors::write(&output(&path).unwrap(), TensorFileKind::Network, &description, &arrays)
+                .unwrap();
             assert!(refused(&path).contains(words), "{}", refused(&path));
         }
     }
@@ -362,7 +373,7 @@ mod tests {
     fn truncated_file_is_reported_as_damaged() {
         let folder = tempfile::TempDir::new().unwrap();
         let path = folder.path().join("network");
-        file().write(&path).unwrap();
+        file().write(&output(&path).unwrap()).unwrap();
         let bytes = std::fs::read(&path).unwrap();
         std::fs::write(&path, &bytes[..bytes.len() - 40]).unwrap();
         assert!(refused(&path).contains("damaged"), "{}", refused(&path));

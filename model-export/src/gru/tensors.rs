@@ -12,7 +12,7 @@ use serde::de::DeserializeOwned;
 
 use crate::error::ErrorKind;
 use crate::input;
-use crate::output::{FileSignature, write_output};
+use crate::output::{FileSignature, NamedInputs, Output};
 use crate::recordings::{DataError, Location};
 
 /// Bytes of a file before its header.
@@ -54,20 +54,37 @@ impl TensorFileKind {
                 Self::Network => r#"{"__metadata__":{"magpie network":"#,
                 Self::Checkpoint => r#"{"__metadata__":{"magpie training":"#,
             },
+            inputs: NamedInputs::Content(match self {
+                Self::Network => |bytes| {
+                    let description = json_description(Self::Network, bytes)?;
+                    let recordings = description["provenance"]["recordings"].as_array()?.iter();
+                    recordings.map(|one| Some(one["sha256"].as_str()?.to_owned())).collect()
+                },
+                Self::Checkpoint => |bytes| {
+                    let description = json_description(Self::Checkpoint, bytes)?;
+                    Some(vec![description["inputs"].as_str()?.to_owned()])
+                },
+            }),
         }
     }
 }
 
-/// Writes a file, whole or not at all; the same arrays and description give the same bytes.
+/// Writes a file, whole or not at all.
 pub fn write(
-    path: &Path,
+    output: &Output,
     kind: TensorFileKind,
     description: &impl Serialize,
     arrays: &[NamedTensor],
 ) -> Result<(), DataError> {
-    write_output(path, &bytes(kind, description, arrays, path)?, kind.mark())
+    output.write(&bytes(kind, description, arrays, output.path())?)
 }
 
+fn json_description(kind: TensorFileKind, bytes: &[u8]) -> Option<serde_json::Value> {
+    let (_, header) = SafeTensors::read_metadata(bytes).ok()?;
+    serde_json::from_str(header.metadata().as_ref()?.get(kind.key())?).ok()
+}
+
+/// Content of a file; the same arrays and description give the same bytes. Errors name `path`.
 fn bytes(
     kind: TensorFileKind,
     description: &impl Serialize,

@@ -19,7 +19,7 @@ use crate::input::{
 };
 use crate::inverse::grbf::{GrbfShape, MAX_CENTRES_ACROSS};
 use crate::inverse::static_model::ForcePolynomial;
-use crate::output::write_output;
+use crate::output::{FileSignature, NamedInputs, Output, write_output};
 use crate::physics::{ForwardModel, SensorMounting};
 use crate::recordings::description::{NominalDesign, parse_toml};
 use crate::recordings::recording::recording_name;
@@ -45,7 +45,17 @@ pub const FORMAT: i64 = 1;
 pub const TABLES_MARK: &str = "// Written by `magpie dev export`.";
 
 /// First line of every model file.
-pub const SIGNATURE: &str = "# A magpie model, written by `magpie fit`.";
+const FIRST_LINE: &str = "# A magpie model, written by `magpie fit`.";
+
+/// Identifies model files; their inputs are [`ModelFile::inputs`].
+pub const SIGNATURE: FileSignature<'static> = FileSignature {
+    offset: 0,
+    text: FIRST_LINE,
+    inputs: NamedInputs::Content(|bytes| {
+        let model: ModelFile = toml::from_str(str::from_utf8(bytes).ok()?).ok()?;
+        Some(model.inputs())
+    }),
+};
 
 /// Fitted model of one gripper.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -338,10 +348,15 @@ impl ModelFile {
         write_output(path, self.to_toml(path)?.as_bytes(), SIGNATURE)
     }
 
+    /// Writes the file of a command.
+    pub fn write_output(&self, output: &Output) -> Result<(), DataError> {
+        output.write(self.to_toml(output.path())?.as_bytes())
+    }
+
     /// Content of the file; errors name `path`.
     pub fn to_toml(&self, path: &Path) -> Result<String, DataError> {
         toml::to_string(self)
-            .map(|text| format!("{SIGNATURE}\n{text}"))
+            .map(|text| format!("{FIRST_LINE}\n{text}"))
             .map_err(|error| ErrorKind::Toml(error.to_string()).at(Location::file(path)))
     }
 

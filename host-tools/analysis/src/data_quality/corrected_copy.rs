@@ -10,7 +10,7 @@ use csv::ByteRecord;
 use flate2::Compression;
 use flate2::write::GzEncoder;
 use model_export::input;
-use model_export::output::StagingDir;
+use model_export::output::{StagingDir, check_vacant};
 use model_export::recordings::campaign::recording_folders;
 use model_export::recordings::csv_table::{CsvReader, column_names, is_compressed};
 use model_export::recordings::description::RECORDING_FILE;
@@ -34,9 +34,7 @@ pub fn write(
     to: &Path,
     check: impl Fn(&Path) -> Result<Vec<Finding>>,
 ) -> Result<Vec<String>> {
-    if to.exists() {
-        bail!("{}: output path exists; refusing to overwrite", to.display());
-    }
+    check_vacant(to)?;
     let repairs: Vec<&Repair> = findings
         .iter()
         .filter_map(|finding| finding.fix.as_ref())

@@ -5,9 +5,11 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
 use model_export::gru::file::{NetworkProvenance, TrainingRecording};
+use model_export::gru::tensors::TensorFileKind;
 use model_export::gru::train::dataset::Sequence;
 use model_export::gru::train::trainer::Trainer;
 use model_export::inverse::build::{DeviceModel, ModelVariant, build};
+use model_export::output::{Output, Overwrite};
 use model_export::recordings::align::Alignment;
 use model_export::recordings::campaign::recording_folders;
 use model_export::recordings::description::RecordingDescription;
@@ -87,6 +89,15 @@ impl TrainingData {
         });
         let hashes: String = hashes.collect();
         format!("{} {}ms{hashes}", self.model_sha256, self.delay_ms)
+    }
+
+    /// A file for checkpoints of a training on this data.
+    ///
+    /// # Errors
+    /// The path holds another file.
+    pub fn checkpoint(&self, path: &Path, overwrite: Overwrite) -> Result<Output> {
+        let mark = TensorFileKind::Checkpoint.mark();
+        Ok(Output::check(path, mark, vec![self.key()], overwrite)?)
     }
 
     /// Provenance for the network file.

@@ -132,7 +132,7 @@ fn existing_folders_and_silent_sensors_are_errors() {
     let Err(error) = Recorder::new(&taken, description(), 1000, None) else {
         panic!("it was overwritten");
     };
-    assert!(error.to_string().contains("refusing to overwrite"));
+    assert!(error.to_string().contains("not overwritten"));
     let mut recorder = recorder(folder.path());
     for ms in 0..10 {
         recorder.take(row(ms, &[])).unwrap();

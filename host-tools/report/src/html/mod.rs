@@ -30,16 +30,14 @@ pub mod tables;
 pub mod traces;
 pub mod workbench;
 
-use std::path::Path;
-
 use maud::{DOCTYPE, Markup, PreEscaped, html};
-use model_export::output::write_output;
+use model_export::output::Output;
 use model_export::recordings::DataError;
 
 use analysis::compare::Comparison;
 use palette::Role;
 
-/// First line of every report: only files that begin with it are overwritten.
+/// First line of every report.
 pub const MARK: &str = "<!-- report of magpie -->\n";
 
 #[derive(Clone, Debug)]
@@ -151,20 +149,20 @@ fn stopped(comparison: &Comparison) -> bool {
     comparison.axes.is_empty() && comparison.findings.iter().any(|finding| finding.stops)
 }
 
-/// Writes the page to `path` atomically.
+/// Writes the page atomically.
 ///
 /// # Errors
-/// The existing file is not a report, or writing failed.
-pub fn write(path: &Path, comparison: &Comparison, more: &[Section]) -> Result<(), DataError> {
-    write_output(path, page_with(comparison, more).as_bytes(), MARK)
+/// Writing failed.
+pub fn write(output: &Output, comparison: &Comparison, more: &[Section]) -> Result<(), DataError> {
+    output.write(page_with(comparison, more).as_bytes())
 }
 
-/// Writes a page of sections to `path` atomically.
+/// Writes a page of sections atomically.
 ///
 /// # Errors
-/// The existing file is not a report, or writing failed.
-pub fn write_sections(path: &Path, title: &str, sections: &[Section]) -> Result<(), DataError> {
-    write_output(path, page_of(title, sections).as_bytes(), MARK)
+/// Writing failed.
+pub fn write_sections(output: &Output, title: &str, sections: &[Section]) -> Result<(), DataError> {
+    output.write(page_of(title, sections).as_bytes())
 }
 
 /// Without a script all sensors are visible, each with its name.

@@ -4,6 +4,7 @@ use super::*;
 use crate::html::fixture::{assert_no_invalid_number, comparison, full, section};
 use analysis::compare::{Envelope, Trace};
 use analysis::data_quality::evidence::Evidence;
+use model_export::output::Overwrite;
 
 #[test]
 fn sections_are_in_order() {
@@ -195,14 +196,20 @@ fn additional_section_follows_the_summary() {
 }
 
 #[test]
-fn only_reports_are_overwritten() {
+fn only_reports_of_the_same_inputs_are_overwritten() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("report.html");
     let small = Comparison::default();
-    write(&path, &small, &[]).unwrap();
-    write(&path, &small, &[]).unwrap();
+    let report = |inputs: &[&str]| {
+        let inputs = inputs.iter().map(|input| (*input).to_owned()).collect();
+        let overwrite = Overwrite::Refused { remedy: "choose another path" };
+        write(&Output::check(&path, MARK, inputs, overwrite)?, &small, &[])
+    };
+    report(&["a"]).unwrap();
+    report(&["a", "b"]).unwrap();
+    assert!(report(&["a"]).unwrap_err().to_string().contains("not overwritten"));
     std::fs::write(&path, "<!DOCTYPE html><p>mine</p>").unwrap();
-    assert!(write(&path, &small, &[]).is_err());
+    assert!(report(&["a", "b"]).is_err());
     assert_eq!(std::fs::read_to_string(&path).unwrap(), "<!DOCTYPE html><p>mine</p>");
 }
 

@@ -10,7 +10,9 @@ use model_export::design::DesignEvaluation;
 use model_export::design::SensorDesign;
 use model_export::design::interference::{DRAWS, InterferenceSources};
 use model_export::design::sweep;
+use model_export::recordings::recording::fingerprint_of;
 
+use crate::commands::args::ForceArg;
 use report::html::design as pages;
 use report::text::design as summary;
 use report::text::terminal;
@@ -78,6 +80,8 @@ struct CheckArgs {
     /// HTML report to write.
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
+    #[command(flatten)]
+    force: ForceArg,
     /// Seed of the random misalignments.
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -89,12 +93,14 @@ struct CheckArgs {
 /// Runs the command.
 fn check(args: &CheckArgs) -> Result<()> {
     let design = SensorDesign::read_or_magpie(args.design.as_deref())?;
+    let inputs = vec![fingerprint_of(&(&design, args.seed))];
+    let page = args.force.page(args.output.as_deref(), inputs)?;
     let evaluation = DesignEvaluation::of(&design);
     let interference = InterferenceSources::assumed(args.seed, DRAWS);
     let shifts = sweep::shifts(&design, design.force_range_n, &interference);
-    if let Some(path) = &args.output {
+    if let Some(page) = &page {
         let sections = pages::of_one(&design, &evaluation, &shifts);
-        report::html::write_sections(path, "magpie: evaluation of a design", &sections)?;
+        report::html::write_sections(page, "magpie: evaluation of a design", &sections)?;
     }
     terminal::print_result(
         args.json,

@@ -9,8 +9,10 @@ use model_export::design::design_file;
 use model_export::design::optimise::optimise;
 use model_export::design::sweep::{self, pareto_front, sweep};
 use model_export::input::plausible_range;
-use model_export::output::check_output;
+use model_export::output::Output;
+use model_export::recordings::recording::fingerprint_of;
 
+use crate::commands::args::ForceArg;
 use crate::commands::design::space::SpaceArgs;
 use report::html::design as pages;
 use report::text::design_search::{format_optimum, format_sweep, optimum_json, sweep_json};
@@ -30,6 +32,8 @@ pub struct SweepArgs {
     /// HTML report to write.
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
+    #[command(flatten)]
+    force: ForceArg,
     /// Print one JSON object on stdout and nothing else.
     #[arg(long)]
     json: bool,
@@ -38,6 +42,8 @@ pub struct SweepArgs {
 /// Runs the command.
 pub fn run_sweep(args: &SweepArgs) -> Result<()> {
     let base = args.space.base()?;
+    let inputs = vec![fingerprint_of(&(&base, &args.space))];
+    let page = args.force.page(args.output.as_deref(), inputs)?;
     let space = args.space.space(&base)?;
     let interference = args.space.interference();
     let designs = space.points(args.space.count).count();
@@ -47,9 +53,9 @@ pub fn run_sweep(args: &SweepArgs) -> Result<()> {
     let front = pareto_front(&candidates);
     let seconds = start.elapsed().as_secs_f64();
     bar.finish_and_clear();
-    if let Some(path) = &args.output {
+    if let Some(page) = &page {
         let sections = pages::of_sweep(&candidates, &front, args.space.sample);
-        report::html::write_sections(path, "magpie: a sweep of designs", &sections)?;
+        report::html::write_sections(page, "magpie: a sweep of designs", &sections)?;
     }
     let report = args.output.as_deref();
     terminal::print_result(
@@ -76,6 +82,8 @@ pub struct OptimizeArgs {
     /// Design file to write.
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
+    #[command(flatten)]
+    force: ForceArg,
     /// Print one JSON object on stdout and nothing else.
     #[arg(long)]
     json: bool,
@@ -90,10 +98,10 @@ pub fn run_optimize(args: &OptimizeArgs) -> Result<()> {
             "--range {force_n:?} is not possible here; give the force in newtons, {min_n} to {max_n:e}"
         );
     }
-    if let Some(path) = &args.output {
-        check_output(path, design_file::MARK)?;
-    }
     let base = args.space.base()?;
+    let inputs = vec![fingerprint_of(&(&base, &args.space, force_n))];
+    let check = |path| Output::check(path, design_file::MARK, inputs, args.force.overwrite());
+    let output = args.output.as_deref().map(check).transpose()?;
     let space = args.space.space(&base)?;
     let interference = args.space.interference();
     let designs = space.points(args.space.count).count();
@@ -105,8 +113,8 @@ pub fn run_optimize(args: &OptimizeArgs) -> Result<()> {
             "none of {designs} designs withstands {force_n} N; increase --stroke or the sizes (--size thickness=1..12), or reduce --safety or --life"
         );
     };
-    if let Some(path) = &args.output {
-        optimum.design.write(path)?;
+    if let Some(output) = &output {
+        output.write(optimum.design.to_toml(output.path())?.as_bytes())?;
     }
     let shifts = sweep::shifts(&optimum.design, force_n, &interference);
     terminal::print_result(

@@ -1,10 +1,14 @@
 //! Arguments of `magpie grasp`.
 
+use std::fmt::Debug;
 use std::path::PathBuf;
 
+use anyhow::Result;
 use device::control::{WidthWindow, result_code};
 use device::session::foot_openings;
 use firmware::config::constants;
+use model_export::output::{Output, Overwrite};
+use model_export::recordings::recording::fingerprint_of;
 use sim::closed_loop::landing::FootContact;
 use sim::drivetrain::parameters::Lead;
 
@@ -168,6 +172,15 @@ fn parse_width(text: &str) -> Result<[f64; 2], String> {
 }
 
 impl Args {
+    /// The HTML report, of a simulation with these settings.
+    pub(super) fn page(&self, settings: &impl Debug) -> Result<Option<Output>> {
+        // Here --force is that of the fingers.
+        let overwrite = Overwrite::Refused { remedy: "choose another path, or remove it" };
+        let inputs = vec![fingerprint_of(settings)];
+        let check = |path| Output::check(path, report::html::MARK, inputs, overwrite);
+        Ok(self.output.as_deref().map(check).transpose()?)
+    }
+
     /// Width window of a grasp.
     pub(super) fn window(&self) -> Option<WidthWindow> {
         let is_fast = self.fast;

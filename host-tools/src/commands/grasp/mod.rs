@@ -56,11 +56,12 @@ pub fn run(args: &Args) -> Result<()> {
         return simulated::run_landing(args, case, peak_n);
     }
     let setpoint = setpoint(args, lead)?;
+    let page = args.page(&(case, args.from, setpoint))?;
     let bar = progress::progress_bar("simulating the drive", DriveResult::PARTS);
     let result = DriveResult::of(case, args.from, setpoint, || bar.inc(1));
     bar.finish_and_clear();
-    if let Some(path) = &args.output {
-        report::html::write_sections(path, &drive::title(&result), &drive::sections(&result))?;
+    if let Some(page) = &page {
+        report::html::write_sections(page, &drive::title(&result), &drive::sections(&result))?;
     }
     let report = args.output.as_deref();
     terminal::print_result(

@@ -23,6 +23,7 @@ const CURRENT_LIMITED_APPROACH_MM: f64 = 15.0;
 pub(super) fn grasp(args: &Args, case: DriveCase, set_n: f64) -> Result<()> {
     check_force(set_n)?;
     let spec = grasp_spec(args, set_n)?;
+    let output = args.page(&(case, spec, args.compare))?;
     let bar =
         progress::progress_bar("simulating the grasp", 1 + usize::from(args.compare.is_some()));
     let own = run_grasp(case.lead, case.parameters, spec, case.seed);
@@ -33,8 +34,8 @@ pub(super) fn grasp(args: &Args, case: DriveCase, set_n: f64) -> Result<()> {
     });
     bar.finish_and_clear();
     let result = GraspResult { case, own, other };
-    if let Some(path) = &args.output {
-        report::html::write_sections(path, &page::title(&result), &page::sections(&result))?;
+    if let Some(output) = &output {
+        report::html::write_sections(output, &page::title(&result), &page::sections(&result))?;
     }
     let report = args.output.as_deref();
     terminal::print_result(
@@ -85,9 +86,14 @@ pub(super) fn run_landing(args: &Args, case: DriveCase, peak_n: f64) -> Result<(
         across_mm: if args.contact == FootContact::Line { ACROSS_MM } else { 0.0 },
         phase: PHASE,
     };
+    let output = args.page(&(case, landing))?;
     let result = landing.run(&case);
-    if let Some(path) = &args.output {
-        report::html::write_sections(path, &page::landing_title(&result), &page::landing(&result))?;
+    if let Some(output) = &output {
+        report::html::write_sections(
+            output,
+            &page::landing_title(&result),
+            &page::landing(&result),
+        )?;
     }
     let report = args.output.as_deref();
     terminal::print_result(

@@ -22,8 +22,8 @@ use model_export::effects::EffectTerm;
 use model_export::fit::FitOptions;
 use model_export::inverse::build::{DeviceModel, ModelVariant, build_model};
 use model_export::inverse::codegen::tables_source;
-use model_export::model_file::{BaseKind, ModelFile, TABLES_MARK};
-use model_export::output::{check_output, write_output};
+use model_export::model_file::{self, BaseKind, ModelFile, TABLES_MARK};
+use model_export::output::{Output, Overwrite};
 use model_export::recordings::align::Alignment;
 use model_export::recordings::campaign::recording_folders;
 use model_export::stop::{self, Stop};
@@ -34,7 +34,7 @@ use serde_json::{Value, json};
 
 use crate::commands::args::{FitArgs, parse_range};
 use crate::commands::connection::{PortArgs, ReferenceArgs, default_virtual_board};
-use crate::commands::diagnose::write_plan_file;
+use crate::commands::diagnose::{plan_output, write_plan_file};
 use crate::commands::output::check_compensated;
 use crate::commands::workbench::live::{LiveGripper, RecordRequest};
 use device::http::{Place, read_body, refuse, serve, single};
@@ -461,6 +461,9 @@ async fn scatter(State(server): State<Server>, Json(request): Json<ScatterReques
     .await
 }
 
+/// The page writes no other file over one that is there.
+const OVERWRITE: Overwrite = Overwrite::Refused { remedy: "choose another path, or remove it" };
+
 async fn write(State(server): State<Server>, Json(request): Json<WriteRequest>) -> Response {
     let last = lock(&server.diagnosis).clone();
     let (campaign, live) = (server.campaign.clone(), server.live.clone());
@@ -469,15 +472,18 @@ async fn write(State(server): State<Server>, Json(request): Json<WriteRequest>) 
         let path = &request.path;
         let message = match request.kind {
             Kind::Model => {
-                shown.model.file.write(path)?;
+                let inputs = shown.model.file.inputs();
+                let output = Output::check(path, model_file::SIGNATURE, inputs, OVERWRITE)?;
+                shown.model.file.write_output(&output)?;
                 format!("Written to {}.", path.display())
             }
             Kind::Report => {
                 let own = last.filter(|(choice, _)| *choice == request.model.choice);
                 let sections =
                     own.map_or_else(Vec::new, |(_, of_model)| diagnosis::sections(&of_model));
+                let inputs = fingerprints(&campaign)?;
                 report::html::write(
-                    path,
+                    &Output::check(path, report::html::MARK, inputs, OVERWRITE)?,
                     &pages::with_baseline(&shown, baseline.as_deref()),
                     &sections,
                 )?;
@@ -493,13 +499,14 @@ async fn write(State(server): State<Server>, Json(request): Json<WriteRequest>) 
                 let plan = plan.map(|proposal| proposal.plan).filter(|plan| !plan.steps.is_empty());
                 let plan =
                     plan.context("there is no plan yet: \"Plan the next recording\" makes one")?;
-                write_plan_file(path, &plan, &campaign)?
+                write_plan_file(&plan_output(path, &campaign, OVERWRITE)?, &plan, &campaign)?
             }
             Kind::Tables => {
-                check_output(path, TABLES_MARK)?;
+                let inputs = shown.model.file.inputs();
+                let output = Output::check(path, TABLES_MARK, inputs, OVERWRITE)?;
                 let built = tables(&shown.model.file)?;
                 check_compensated(&built, "export")?;
-                write_output(path, tables_source(&built).as_bytes(), TABLES_MARK)?;
+                output.write(tables_source(&built).as_bytes())?;
                 format!("Written to {}.{}", path.display(), conditions(&built))
             }
             Kind::Board => {

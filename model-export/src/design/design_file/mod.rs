@@ -9,7 +9,6 @@ use crate::design::material::{MATERIALS, Material, Strength};
 use crate::error::{DataError, ErrorKind, Location, closest_match};
 use crate::fit::parameters;
 use crate::input::{self, check_plausible};
-use crate::output::write_output;
 use crate::recordings::description::{MagnetSpec, NominalDesign as Nominal, parse_toml};
 use firmware::config::constants::{self, Constant, assumed, stated};
 use serde::{Deserialize, Serialize};
@@ -282,11 +281,11 @@ impl SensorDesign {
         path.map_or_else(|| Ok(Self::magpie()), Self::read)
     }
 
-    /// Writes the design; see [`write_output`].
-    pub fn write(&self, path: &Path) -> Result<(), DataError> {
+    /// Content of the file; errors name `path`.
+    pub fn to_toml(&self, path: &Path) -> Result<String, DataError> {
         let text = toml::to_string(self)
             .map_err(|error| ErrorKind::Toml(error.to_string()).at(Location::file(path)))?;
-        write_output(path, format!("{MARK}\n{text}").as_bytes(), MARK)
+        Ok(format!("{MARK}\n{text}"))
     }
 }
 

@@ -9,6 +9,7 @@ use crate::gru::tensors::{self, NamedTensor, TensorFile, TensorFileKind};
 use crate::gru::train::dataset::Topology;
 use crate::gru::train::parameters::TrainableParameters;
 use crate::gru::train::trainer::{BestEpoch, Trainer, TrainingSettings};
+use crate::output::Output;
 use crate::recordings::{DataError, Location};
 
 /// Identity of the training, which must match on resume, and its progress.
@@ -65,7 +66,7 @@ fn parts(trainer: &Trainer) -> [(&'static str, &TrainableParameters); 4] {
 }
 
 /// Writes the training atomically. `inputs` identifies the training data.
-pub fn write(path: &Path, trainer: &Trainer, inputs: &str) -> Result<(), DataError> {
+pub fn write(output: &Output, trainer: &Trainer, inputs: &str) -> Result<(), DataError> {
     let arrays: Vec<NamedTensor> = parts(trainer)
         .iter()
         .flat_map(|(part, parameters)| {
@@ -76,7 +77,7 @@ pub fn write(path: &Path, trainer: &Trainer, inputs: &str) -> Result<(), DataErr
             })
         })
         .collect();
-    tensors::write(path, TensorFileKind::Checkpoint, &Description::of(trainer, inputs), &arrays)
+    tensors::write(output, TensorFileKind::Checkpoint, &Description::of(trainer, inputs), &arrays)
 }
 
 /// Restores a checkpoint into a new training.

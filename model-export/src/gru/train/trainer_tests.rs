@@ -1,12 +1,16 @@
 //! Convergence, reproducibility and checkpoints of training.
 
+use std::path::Path;
+
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::gru::network::Target;
+use crate::gru::tensors::TensorFileKind;
 use crate::gru::train::checkpoint;
 use crate::gru::train::dataset::{SensorSequence, Sequence, Topology};
 use crate::gru::train::trainer::{Trainer, TrainingSettings};
+use crate::output::{Output, Overwrite};
 
 /// A load with random steps; the field equals the load, and the force lags behind it by `lag` rows. The second
 /// force is a fifth of the load without lag.
@@ -146,6 +150,11 @@ fn shared_network_predicts_all_its_sensors() {
     }
 }
 
+fn output(path: &Path) -> Output {
+    let overwrite = Overwrite::Refused { remedy: "choose another path" };
+    Output::check(path, TensorFileKind::Checkpoint.mark(), Vec::new(), overwrite).unwrap()
+}
+
 #[test]
 fn resumed_training_equals_an_uninterrupted_one() {
     let folder = tempfile::TempDir::new().unwrap();
@@ -154,7 +163,7 @@ fn resumed_training_equals_an_uninterrupted_one() {
     for _ in 0..2 {
         begun.epoch().unwrap();
     }
-    checkpoint::write(&path, &begun, "data").unwrap();
+    checkpoint::write(&output(&path), &begun, "data").unwrap();
     let mut resumed = trainer(5, 1, &[0, 1], false);
     checkpoint::resume(&path, &mut resumed, "data").unwrap();
     assert_eq!(resumed, begun);
@@ -165,7 +174,7 @@ fn resumed_training_equals_an_uninterrupted_one() {
 fn checkpoint_of_other_data_or_seed_is_rejected() {
     let folder = tempfile::TempDir::new().unwrap();
     let path = folder.path().join("training");
-    checkpoint::write(&path, &trainer(5, 1, &[0], false), "data").unwrap();
+    checkpoint::write(&output(&path), &trainer(5, 1, &[0], false), "data").unwrap();
     let resume = |seed, inputs| {
         let mut trainer = trainer(5, seed, &[0], false);
         checkpoint::resume(&path, &mut trainer, inputs).unwrap_err().to_string()
