@@ -60,6 +60,7 @@ pub fn refit(
         let notices = campaign.notices().chain(&prepared.notices);
         notes.extend(notices.cloned().map(Note::Recording).chain(constant));
         notes.extend(Note::other_design(&campaign, &model.file));
+        notes.extend(Note::other_delay(&model.path, &model.file, alignment));
         let all: Vec<EffectTerm> = before.iter().chain(&after).cloned().collect();
         let split = prepared.split(&all);
         let bar =

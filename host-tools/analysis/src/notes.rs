@@ -8,6 +8,7 @@ use anyhow::{Result, bail};
 use model_export::inverse::build::{DeviceModel, NotInvertible};
 use model_export::inverse::compensation::NotCompensable;
 use model_export::model_file::ModelFile;
+use model_export::recordings::align::Alignment;
 use model_export::recordings::{Campaign, Notice};
 use serde::Serialize;
 
@@ -20,19 +21,12 @@ pub enum Note {
     Recording(Notice),
     /// Setup error in the recordings that does not prevent a fit.
     SetupError(Box<Finding>),
-    /// A replay assumes another delay of the reference than the fit.
-    ReplayDelay {
-        /// Delay of the fit in milliseconds.
-        fitted_ms: f64,
-        /// Delay of the replay in milliseconds.
-        delay_ms: f64,
-    },
-    /// A comparison assumes another delay of the reference than the fit.
-    ComparisonDelay {
+    /// Recordings are read with another delay of the reference than that of the model file.
+    OtherDelay {
         model: PathBuf,
         /// Delay of the fit in milliseconds.
         fitted_ms: f64,
-        /// Delay of the comparison in milliseconds.
+        /// Delay with which they are read in milliseconds.
         delay_ms: f64,
     },
     /// The design of a replayed recording differs from that of the model.
@@ -83,6 +77,13 @@ pub enum Note {
 }
 
 impl Note {
+    /// That recordings are read with another delay than that of a model, if they are.
+    pub fn other_delay(path: &Path, model: &ModelFile, alignment: Alignment) -> Option<Self> {
+        let (fitted_ms, delay_ms) = (model.provenance.delay_ms, alignment.delay_us / 1e3);
+        let model = path.to_path_buf();
+        (fitted_ms != delay_ms).then_some(Self::OtherDelay { model, fitted_ms, delay_ms })
+    }
+
     /// That a model was fitted to none of the recordings with these hashes, to which it is fitted again.
     pub fn other_recordings<'a>(
         model: &ModelFile,

@@ -243,7 +243,7 @@ def compare(
     other: PathLike | None = None,
     *,
     report: PathLike | None = None,
-    delay_ms: float = 0.0,
+    delay_ms: float | None = None,
     seed: int = 1,
 ) -> Comparison:
     """Compares a model, and optionally another one on the same rows, with recordings; `report` is an HTML file to write."""
@@ -260,7 +260,7 @@ def diagnose(
     ranges: Mapping[str, tuple[float, float]] | None = None,
     plan: bool = False,
     progress: Callable[[str, float], Any] | None = None,
-    delay_ms: float = 0.0,
+    delay_ms: float | None = None,
     seed: int = 1,
 ) -> Diagnosis:
     """Which physical effects the model does not contain, of the catalogue, of your formulas, or of a search for formulas.
@@ -276,7 +276,7 @@ def search_formulas(
     campaign: PathLike,
     *,
     progress: Callable[[str, float], Any] | None = None,
-    delay_ms: float = 0.0,
+    delay_ms: float | None = None,
     seed: int = 1,
 ) -> Diagnosis:
     """Formulas of the covariates that explain what the model leaves, without asking the catalogue first: ``formulas`` of the result.
@@ -321,7 +321,7 @@ def add(
     exprs: str | Sequence[str] = (),
     ranges: Mapping[str, tuple[float, float]] | None = None,
     output: PathLike | None = None,
-    delay_ms: float = 0.0,
+    delay_ms: float | None = None,
     seed: int = 1,
 ) -> Edit:
     """Adds effects of the catalogue and formulas, refits, and states the error before and after."""
@@ -335,7 +335,7 @@ def remove(
     campaign: PathLike,
     *effects: str,
     output: PathLike | None = None,
-    delay_ms: float = 0.0,
+    delay_ms: float | None = None,
     seed: int = 1,
 ) -> Edit:
     """Removes effects, refits, and states the error before and after."""
@@ -349,7 +349,7 @@ def replay(
     campaign: PathLike,
     *,
     network: PathLike | None = None,
-    delay_ms: float = 0.0,
+    delay_ms: float | None = None,
 ) -> Replay:
     """Runs every row of the recordings through the device's code and compares the forces with the reference."""
     weights = None if network is None else Path(network)
@@ -375,7 +375,7 @@ def train(
     zero_weight: float = 1.0,
     checkpoint: PathLike | None = None,
     progress: Callable[[str, float], Any] | None = None,
-    delay_ms: float = 0.0,
+    delay_ms: float | None = None,
     seed: int = 1,
 ) -> Training:
     """Trains recurrent networks that estimate each force with its standard deviation, and run on the device after the model.
@@ -405,7 +405,7 @@ def guess_mapping(sources: PathLike | Sequence[PathLike], output: PathLike) -> P
 
 
 def export_mcap(
-    model: PathLike, campaign: PathLike, output: PathLike, *, network: PathLike | None = None, delay_ms: float = 0.0
+    model: PathLike, campaign: PathLike, output: PathLike, *, network: PathLike | None = None, delay_ms: float | None = None
 ) -> list[Path]:
     """Writes each recording of a campaign with the estimates of the device's code to an MCAP file in a new folder; their paths."""
     weights = None if network is None else Path(network)

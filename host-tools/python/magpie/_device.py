@@ -107,7 +107,7 @@ class Device:
         estimates = self.run({name: [value] for name, value in row.items()})
         return np.where(estimates.is_valid[0, :, None], estimates.force_n[0], np.nan)
 
-    def run_recording(self, folder: PathLike, *, delay_ms: float = 0.0) -> Estimates:
+    def run_recording(self, folder: PathLike, *, delay_ms: float | None = None) -> Estimates:
         """Estimates of every row of a recording's folder, from a reset."""
         return self._estimates(self._device.recording(Path(folder), delay_ms))
 

@@ -106,7 +106,7 @@ def fit_effect(
     *,
     output: PathLike | None = None,
     evaluations: int = 40,
-    delay_ms: float = 0.0,
+    delay_ms: float | None = None,
     seed: int = 1,
 ) -> EffectFit:
     """Adds an effect written in Python to a model and refits it; its nonlinear parameters minimise the held-out error of the field.

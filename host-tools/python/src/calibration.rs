@@ -37,6 +37,7 @@ use model_export::model_file::{BaseKind, ModelFile, SIGNATURE, TABLES_MARK};
 use model_export::output::{Output, Overwrite, write_same};
 use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
+use model_export::recordings::campaign::fingerprints;
 use model_export::recordings::guess;
 use pyo3::prelude::*;
 use pyo3::types::PyString;
@@ -110,7 +111,7 @@ fn compare(
     campaign: PathBuf,
     other: Option<PathBuf>,
     report: Option<PathBuf>,
-    delay_ms: f64,
+    delay_ms: Option<f64>,
     seed: u64,
 ) -> PyResult<Py<PyString>> {
     let result = interrupt::run(py, move |_| {
@@ -120,7 +121,7 @@ fn compare(
         let report = report.map(check).transpose()?;
         let model = Model::read(&model)?;
         let other = other.as_deref().map(Model::read).transpose()?;
-        let (alignment, options) = (alignment(delay_ms), options(seed));
+        let (alignment, options) = (model.file.alignment(delay_ms), options(seed));
         let comparison =
             comparison::compare(&model, &campaign, other.as_ref(), alignment, options)?;
         if let Some(page) = &report {
@@ -144,14 +145,14 @@ fn diagnose_campaign(
     plans: bool,
     catalogue: bool,
     progress: Option<Py<PyAny>>,
-    delay_ms: f64,
+    delay_ms: Option<f64>,
     seed: u64,
 ) -> PyResult<Py<PyString>> {
     let progress = Progress::new(progress);
     let result = interrupt::run(py, |stop| {
         let model = Model::read(&model)?;
-        let checked =
-            CheckedCampaign::open(&campaign, &model, alignment(delay_ms), Caching::Always)?;
+        let alignment = model.file.alignment(delay_ms);
+        let checked = CheckedCampaign::open(&campaign, &model, alignment, Caching::Always)?;
         let own = match checked.campaign()? {
             Some(rows) => formulas(&exprs, &ranges, &rows)?,
             None => Vec::new(),
@@ -182,16 +183,18 @@ fn edit(
     removed: Vec<String>,
     exprs: Vec<String>,
     ranges: Vec<Range>,
-    delay_ms: f64,
+    delay_ms: Option<f64>,
     seed: u64,
 ) -> PyResult<Py<PyString>> {
     let result = interrupt::run(py, move |_| {
         let model = Model::read(&model)?;
-        let rows = read_campaign(&campaign, alignment(delay_ms))?;
+        let alignment = model.file.alignment(delay_ms);
+        let rows = read_campaign(&campaign, alignment)?;
         let added = find_effects(&added, &formulas(&exprs, &ranges, &rows)?)?;
         let after = edited_effects(&model, added, &removed)?;
-        let edited = refit(rows, &model, after, alignment(delay_ms), options(seed))?;
-        edited.model.write(&output)?;
+        let output = edited_output(&output, &model, &after, &rows, OVERWRITE)?;
+        let edited = refit(rows, &model, after, alignment, options(seed))?;
+        edited.model.write_output(&output)?;
         Ok(with_notes(text::edit_model::to_json(&edited), &edited.notes))
     })?;
     Ok(to_text(py, &result))
@@ -204,10 +207,10 @@ fn replay(
     model: PathBuf,
     campaign: PathBuf,
     network: Option<PathBuf>,
-    delay_ms: f64,
+    delay_ms: Option<f64>,
 ) -> PyResult<Py<PyString>> {
     let result = interrupt::run(py, move |_| {
-        let alignment = alignment(delay_ms);
+        let alignment = ModelFile::read(&model)?.alignment(delay_ms);
         let replayed = evaluation::evaluate(&model, &campaign, network.as_deref(), alignment)?;
         Ok(with_notes(text::replay::to_json(&replayed), &replayed.notes))
     })?;
@@ -256,7 +259,7 @@ fn train(
     zero_weight: f64,
     checkpoint: Option<PathBuf>,
     progress: Option<Py<PyAny>>,
-    delay_ms: f64,
+    delay_ms: Option<f64>,
     seed: u64,
 ) -> PyResult<Py<PyString>> {
     let axes: BTreeSet<Option<usize>> = axes.chars().map(|axis| "xyz".find(axis)).collect();
@@ -285,7 +288,10 @@ fn train(
         let mark = TensorFileKind::Network.mark();
         let output = Output::check(&output, mark, fingerprints(&campaign)?, OVERWRITE)?;
         let start = Instant::now();
-        let data = TrainingData::read(&model, &campaign, hold_out, alignment(delay_ms))?;
+        let data = TrainingData::read(&model, &campaign, hold_out, delay_ms)?;
+        // A training resumes from no file but its own.
+        let saved = |path| data.checkpoint(path, Overwrite::Forced);
+        let saved = checkpoint.as_deref().map(saved).transpose()?;
         let force_range_n = data.built.model.force_range_n();
         let settings = TrainingSettings { force_range_n, ..settings };
         let epochs = settings.epochs;
@@ -346,10 +352,11 @@ fn export_mcap(
     campaign: PathBuf,
     output: PathBuf,
     network: Option<PathBuf>,
-    delay_ms: f64,
+    delay_ms: Option<f64>,
 ) -> PyResult<Vec<PathBuf>> {
     interrupt::run(py, move |_| {
-        write_bags(&model, network.as_deref(), &campaign, &output, alignment(delay_ms))
+        let alignment = ModelFile::read(&model)?.alignment(delay_ms);
+        write_bags(&model, network.as_deref(), &campaign, &output, alignment)
     })
 }
 

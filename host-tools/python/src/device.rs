@@ -48,7 +48,8 @@ struct Estimates {
 enum Job {
     Reset,
     Rows(Columns),
-    Recording(PathBuf, Alignment),
+    /// With a delay of the reference in milliseconds; without it, that of the model.
+    Recording(PathBuf, Option<f64>),
 }
 
 /// Jobs to the thread of a device, and its answers.
@@ -107,10 +108,9 @@ impl Device {
         &self,
         py: Python<'py>,
         folder: PathBuf,
-        delay_ms: f64,
+        delay_ms: Option<f64>,
     ) -> PyResult<Arrays<'py>> {
-        let alignment = Alignment { delay_us: 1e3 * delay_ms };
-        let job = Job::Recording(folder, alignment);
+        let job = Job::Recording(folder, delay_ms);
         self.ask(py, job).map(|estimates| estimates.to_arrays(py))
     }
 }
@@ -204,8 +204,9 @@ fn serve(
             Job::Rows(columns) => {
                 rows(&models, columns).map(|rows| rows.for_each(|row| push(&mut estimator, &row)))
             }
-            Job::Recording(folder, alignment) => {
+            Job::Recording(folder, delay_ms) => {
                 estimator = start();
+                let alignment = built.model.alignment(delay_ms);
                 recorded(&models, &folder, alignment).and_then(|rows| {
                     for row in rows {
                         push(&mut estimator, &row?);

@@ -8,9 +8,11 @@ use clap::ValueEnum;
 use model_export::effects::EffectTerm;
 use model_export::effects::expression::ParameterRange;
 use model_export::fit::FitOptions;
-use model_export::output::check_output;
+use model_export::model_file::ModelFile;
+use model_export::output::{Output, Overwrite};
 use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
+use model_export::recordings::campaign::fingerprints;
 
 use analysis::compare::Comparison;
 use report::html::Section;
@@ -19,24 +21,59 @@ use report::text::terminal;
 /// Clock alignment.
 #[derive(Clone, Copy, Debug, clap::Args)]
 pub struct AlignArgs {
-    /// Delay of the reference's clock, added to its time stamps before alignment with the field.
-    #[arg(long, value_name = "MS", default_value_t = 0.0, allow_negative_numbers = true)]
-    delay_ms: f64,
+    /// Delay of the reference's clock, added to its time stamps before alignment with the field [default: that of the model file;
+    /// of a fit 0]. A constant delay of a logger belongs into the mapping of the import: `offset_s` of the force's clock.
+    #[arg(long, value_name = "MS", allow_negative_numbers = true)]
+    delay_ms: Option<f64>,
 }
 
 /// Maximum delay: an hour, as between time zones.
 const MAX_DELAY_MS: f64 = 3.6e6;
 
 impl AlignArgs {
-    /// The alignment for the readers of recordings.
+    /// The alignment for a fit.
     pub fn alignment(self) -> Result<Alignment> {
-        if !(-MAX_DELAY_MS..=MAX_DELAY_MS).contains(&self.delay_ms) {
+        Ok(Alignment { delay_us: 1e3 * self.given_ms()?.unwrap_or_default() })
+    }
+
+    /// The alignment for recordings that a model is used with.
+    pub fn of_model(self, model: &ModelFile) -> Result<Alignment> {
+        Ok(model.alignment(self.given_ms()?))
+    }
+
+    /// The delay of `--delay-ms`.
+    pub fn given_ms(self) -> Result<Option<f64>> {
+        let is_possible = |ms: &f64| (-MAX_DELAY_MS..=MAX_DELAY_MS).contains(ms);
+        if let Some(ms) = self.delay_ms.filter(|ms| !is_possible(ms)) {
             bail!(
-                "--delay-ms {:?} is not possible here; give up to {MAX_DELAY_MS} ms either way",
-                self.delay_ms
+                "--delay-ms {ms:?} is not possible here; give up to {MAX_DELAY_MS} ms either way"
             );
         }
-        Ok(Alignment { delay_us: self.delay_ms * 1e3 })
+        Ok(self.delay_ms)
+    }
+}
+
+/// Whether a command replaces another file at its output path.
+#[derive(Clone, Copy, Debug, clap::Args)]
+pub struct ForceArg {
+    /// Replace the output file, whatever it holds [default: only an earlier result of the same inputs].
+    #[arg(long)]
+    force: bool,
+}
+
+impl ForceArg {
+    /// What the command does with another file.
+    pub fn overwrite(self) -> Overwrite {
+        match self.force {
+            true => Overwrite::Forced,
+            false => Overwrite::Refused { remedy: "choose another path, or give --force" },
+        }
+    }
+
+    /// The HTML report at `path`, of these inputs.
+    pub fn page(self, path: Option<&Path>, inputs: Vec<String>) -> Result<Option<Output>> {
+        let check = |path| Output::check(path, report::html::MARK, inputs, self.overwrite());
+        Ok(path.map(check).transpose()?)
     }
 }
 

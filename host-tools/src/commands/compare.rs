@@ -38,7 +38,7 @@ pub fn run(args: &Args) -> Result<()> {
     let page = common.page()?;
     let model = Model::read(&input.model)?;
     let baseline = args.baseline.as_deref().map(Model::read).transpose()?;
-    let (alignment, options) = (input.fit.align.alignment()?, input.fit.options());
+    let (alignment, options) = (input.fit.align.of_model(&model.file)?, input.fit.options());
     let comparison = compare(&model, &input.campaign, baseline.as_ref(), alignment, options)?;
     print_notes(&comparison.notes);
     terminal::print_result(input.fit.json, || to_json(&comparison), || format_report(&comparison))?;

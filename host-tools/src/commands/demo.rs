@@ -22,7 +22,7 @@ use model_export::model_file::{self, BaseKind, EffectModel, ModelFile, TABLES_MA
 use model_export::output::Output;
 use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
-use model_export::recordings::campaign::recording_folders;
+use model_export::recordings::campaign::{fingerprints, recording_folders};
 use model_export::recordings::units::round_significant;
 use report::text;
 use report::text::diagnosis::format_summary;

@@ -106,7 +106,7 @@ pub fn run(args: &Args) -> Result<()> {
     let plan = args.plan.as_deref().map(plan).transpose()?;
     let input = &common.input;
     let model = Model::read(&input.model)?;
-    let (alignment, options) = (input.fit.align.alignment()?, input.fit.options());
+    let (alignment, options) = (input.fit.align.of_model(&model.file)?, input.fit.options());
     let mut checked = CheckedCampaign::open(&input.campaign, &model, alignment, Caching::Always)?;
     let own = match checked.campaign()? {
         Some(campaign) => args.exprs.parse(&campaign)?,

@@ -32,7 +32,7 @@ fn edit(
     edit_effects: impl Fn(&Model, &Campaign) -> Result<Vec<EffectTerm>>,
 ) -> Result<()> {
     let model = Model::read(&args.input.model)?;
-    let alignment = args.input.fit.align.alignment()?;
+    let alignment = args.input.fit.align.of_model(&model.file)?;
     let options = args.input.fit.options();
     let campaign = read_campaign(&args.input.campaign, alignment)?;
     let after = edit_effects(&model, &campaign)?;

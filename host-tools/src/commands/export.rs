@@ -60,7 +60,7 @@ pub fn run(args: &Args) -> Result<()> {
         return write_mcap(args, campaign);
     }
     let variant = if args.nominal { ModelVariant::Nominal } else { ModelVariant::Fitted };
-    if args.align.alignment()?.delay_us != 0.0 {
+    if args.align.given_ms()?.is_some() {
         bail!("--delay-ms is of the recordings of --mcap; tables have no reference");
     }
     let built = build(&args.model, variant)?;
@@ -93,7 +93,9 @@ pub fn run(args: &Args) -> Result<()> {
 
 /// Writes each recording of a campaign as an MCAP file.
 fn write_mcap(args: &Args, campaign: &Path) -> Result<()> {
-    let alignment = args.align.alignment()?;
+    let model = ModelFile::read(&args.model)?;
+    let alignment = args.align.of_model(&model)?;
+    print_notes(Note::other_delay(&args.model, &model, alignment).as_slice());
     let network = args.network.as_deref();
     let files = write_bags(&args.model, network, campaign, &args.output, alignment)?;
     let written = || {

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use analysis::replay::evaluation::evaluate;
 use anyhow::Result;
+use model_export::model_file::ModelFile;
 use report::text::replay::{format_report, to_json};
 use report::text::terminal;
 
@@ -34,8 +35,8 @@ pub struct Args {
 
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
-    let evaluation =
-        evaluate(&args.model, &args.campaign, args.network.as_deref(), args.align.alignment()?)?;
+    let alignment = args.align.of_model(&ModelFile::read(&args.model)?)?;
+    let evaluation = evaluate(&args.model, &args.campaign, args.network.as_deref(), alignment)?;
     print_notes(&evaluation.notes);
     terminal::print_result(args.json, || to_json(&evaluation), || format_report(&evaluation))
 }

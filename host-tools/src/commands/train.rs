@@ -142,8 +142,8 @@ pub fn run(args: &Args) -> Result<()> {
     };
     let output = args.output.as_deref().map(check).transpose()?;
     let start = Instant::now();
-    let alignment = args.align.alignment()?;
-    let data = TrainingData::read(&args.model, &args.campaign, args.hold_out, alignment)?;
+    let delay_ms = args.align.given_ms()?;
+    let data = TrainingData::read(&args.model, &args.campaign, args.hold_out, delay_ms)?;
     print_notes(&data.notes);
     // A training resumes from no file but its own.
     let overwrite = if args.resume { Overwrite::Forced } else { args.force.overwrite() };

@@ -163,6 +163,31 @@ fn invalid_model_parameter_is_rejected_by_name() {
 }
 
 #[test]
+fn delay_is_that_of_the_model_unless_another_is_given() {
+    let dir = WorkDir::empty();
+    let clean = campaign("clean");
+    dir.stdout(&format!("fit {clean} --delay-ms 2 -o model.toml"));
+    for (line, is_noted) in [
+        (format!("compare model.toml {clean}"), false),
+        (format!("replay model.toml {clean}"), false),
+        (format!("add model.toml {clean} tip_slope -o better.toml"), false),
+        (format!("replay model.toml {clean} --delay-ms 2"), false),
+        (format!("replay model.toml {clean} --delay-ms 0"), true),
+        (format!("compare model.toml {clean} --delay-ms 0"), true),
+        (format!("add model.toml {clean} tip_slope --delay-ms 0"), true),
+        (format!("dev export model.toml --mcap {clean}/1 --delay-ms 0 -o bags"), true),
+    ] {
+        let output = dir.run(&line);
+        let printed = text(&output.stderr);
+        assert!(output.status.success(), "{line}: {printed}");
+        let note = "note: model.toml was fitted with a delay of 2 ms; these recordings are read with 0 ms, as given\n";
+        assert_eq!(printed.contains(note), is_noted, "{line}: {printed}");
+        assert_eq!(printed.contains("delay of"), is_noted, "{line}: {printed}");
+    }
+    assert!(dir.read("better.toml").contains("delay_ms = 2.0\n"));
+}
+
+#[test]
 fn swapped_arguments_report_the_expected_order() {
     let message = WorkDir::empty().failure(&["replay", &campaign("clean/3"), "model.toml"]);
     assert!(message.contains("the order is MODEL CAMPAIGN"), "{message}");

@@ -21,6 +21,7 @@ use crate::inverse::grbf::{GrbfShape, MAX_CENTRES_ACROSS};
 use crate::inverse::static_model::ForcePolynomial;
 use crate::output::{FileSignature, NamedInputs, Output, write_output};
 use crate::physics::{ForwardModel, SensorMounting};
+use crate::recordings::align::Alignment;
 use crate::recordings::description::{NominalDesign, parse_toml};
 use crate::recordings::recording::recording_name;
 use crate::recordings::{Campaign, DataError, Location};
@@ -341,6 +342,17 @@ impl ModelFile {
             }
         }
         Ok(())
+    }
+
+    /// The alignment of recordings with their reference: with a delay that the user gives, otherwise as in the fit.
+    pub fn alignment(&self, given_ms: Option<f64>) -> Alignment {
+        Alignment { delay_us: 1e3 * given_ms.unwrap_or(self.provenance.delay_ms) }
+    }
+
+    /// What the model was written from: the recordings, and the effects that the user chose.
+    pub fn inputs(&self) -> Vec<String> {
+        let recordings = self.provenance.recordings.iter().map(|fitted| fitted.sha256.clone());
+        recordings.chain(self.effects.iter().map(|effect| effect.name.clone())).collect()
     }
 
     /// Writes the file; see [`write_output`].

@@ -92,10 +92,7 @@ pub(crate) fn evaluate(
     notes: &mut Vec<Note>,
 ) -> Result<Comparison> {
     let Model { path, file, effects } = model;
-    let (fitted_ms, delay_ms) = (file.provenance.delay_ms, source.alignment.delay_us / 1e3);
-    if fitted_ms != delay_ms {
-        notes.push(Note::ComparisonDelay { model: path.clone(), fitted_ms, delay_ms });
-    }
+    notes.extend(Note::other_delay(path, file, source.alignment));
     let plan = CvPlan::new(model, source, fit, compared, options)?;
     let mut fields = evaluate_fields(&plan, source, notes)?;
     // A finding covers its column in all recordings; notices of that column are not repeated.

@@ -40,7 +40,7 @@ pub struct TrainingData {
 
 impl TrainingData {
     /// Runs every recording of `campaign` through the device code with the tables of `model`. The held-out recording
-    /// is counted from 1; the default is the last.
+    /// is counted from 1; the default is the last. Without a delay of the reference, that of the model applies.
     ///
     /// # Errors
     /// A recording cannot be read, two are the same data, or their sensors differ.
@@ -48,11 +48,12 @@ impl TrainingData {
         model: &Path,
         campaign: &Path,
         hold_out: Option<usize>,
-        alignment: Alignment,
+        delay_ms: Option<f64>,
     ) -> Result<Self> {
         let folders = recording_folders(campaign)?;
         let index = held_out_index(campaign, folders.len(), hold_out)?;
         let built = build(model, ModelVariant::Fitted)?;
+        let alignment = built.model.alignment(delay_ms);
         let mut recordings = Vec::new();
         for (i, folder) in folders.iter().enumerate() {
             recordings.push(TrainingRecording {
@@ -66,7 +67,8 @@ impl TrainingData {
         let mut training = read_sequences(&folders, &built, alignment)?;
         check_same_sensors(campaign, &training)?;
         let held_out = training.remove(index);
-        let notes = notes(&built, &recordings, &held_out);
+        let mut notes = notes(&built, &recordings, &held_out);
+        notes.extend(Note::other_delay(model, &built.model, alignment));
         Ok(Self {
             training,
             held_out,

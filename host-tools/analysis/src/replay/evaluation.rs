@@ -77,6 +77,7 @@ pub fn evaluate(
     let folders = recording_folders(campaign)?;
     let scale = file.sensor_scale;
     let mut notes = differences(&folders, &file, alignment)?;
+    notes.extend(Note::other_delay(model, &file, alignment));
     notes.extend(uncompensated);
     let mut linear = TableSet::build(
         fitted.tables.id,
@@ -191,10 +192,6 @@ impl ReplayEvaluation {
 /// Notes on recordings whose alignment or design differs from the model's.
 fn differences(folders: &[PathBuf], model: &ModelFile, alignment: Alignment) -> Result<Vec<Note>> {
     let mut notes = Vec::new();
-    let (fitted_ms, delay_ms) = (model.provenance.delay_ms, alignment.delay_us / 1e3);
-    if delay_ms != fitted_ms {
-        notes.push(Note::ReplayDelay { fitted_ms, delay_ms });
-    }
     for folder in folders {
         let (description, _) = RecordingDescription::read(folder)?;
         check_sensor_scale(folder, &description, model)?;

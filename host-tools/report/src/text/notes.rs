@@ -21,11 +21,8 @@ pub fn text(note: &Note) -> String {
             };
             format!("{}: {}{fix}", finding.place, findings::message(finding))
         }
-        Note::ReplayDelay { fitted_ms, delay_ms } => {
-            format!("the model was fitted with --delay-ms {fitted_ms}, this replay has {delay_ms}")
-        }
-        Note::ComparisonDelay { model, fitted_ms, delay_ms } => format!(
-            "{} was fitted with --delay-ms {fitted_ms}, these recordings are read with {delay_ms}",
+        Note::OtherDelay { model, fitted_ms, delay_ms } => format!(
+            "{} was fitted with a delay of {fitted_ms} ms; these recordings are read with {delay_ms} ms, as given",
             model.display()
         ),
         Note::OtherDesign { recording } => format!(

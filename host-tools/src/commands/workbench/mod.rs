@@ -25,7 +25,7 @@ use model_export::inverse::codegen::tables_source;
 use model_export::model_file::{self, BaseKind, ModelFile, TABLES_MARK};
 use model_export::output::{Output, Overwrite};
 use model_export::recordings::align::Alignment;
-use model_export::recordings::campaign::recording_folders;
+use model_export::recordings::campaign::{fingerprints, recording_folders};
 use model_export::stop::{self, Stop};
 use report::html::{diagnosis, workbench as pages};
 use report::text::{findings, terminal};
@@ -573,16 +573,16 @@ impl Choice {
                 words.extend(ranges.into_iter().flat_map(|range| ["--range", range]));
             }
             words.extend(["-o", "model.toml"]);
-            commands.push(line(&[&words[..], delay, seed].concat()));
+            commands.push(line(&[&words[..], seed].concat()));
             model = "model.toml";
         }
         for words in [
             ["compare", model, &campaign, "-o", "report.html"],
             ["diagnose", model, &campaign, "--plan", "plan.toml"],
         ] {
-            commands.push(line(&[&words[..], delay, seed].concat()));
+            commands.push(line(&[&words[..], seed].concat()));
         }
-        commands.push(line(&[&["replay", model, &campaign][..], delay].concat()));
+        commands.push(line(&["replay", model, &campaign]));
         commands.push(line(&["dev", "export", model, "-o", "tables.rs"]));
         commands
     }
