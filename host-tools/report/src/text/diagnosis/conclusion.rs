@@ -21,9 +21,16 @@ pub fn verdict(diagnosis: &Diagnosis) -> String {
     let sentences = [
         diagnosis.higher_degree.as_ref().map(|higher| higher_degree(higher, diagnosis.noise.unit)),
         Some(verdict_on_effects(diagnosis)),
+        one_recording(diagnosis),
         diagnosis.confounded_offsets.as_ref().map(confounded_offsets),
     ];
     sentences.into_iter().flatten().collect::<Vec<_>>().join(" ")
+}
+
+/// What a single recording does not show; `None` where there are more.
+pub(super) fn one_recording(diagnosis: &Diagnosis) -> Option<String> {
+    let [_, all] = diagnosis.recordings;
+    (all == 1).then(|| "One recording: no claim about others; record two more.".to_owned())
 }
 
 fn verdict_on_effects(diagnosis: &Diagnosis) -> String {

@@ -226,6 +226,18 @@ fn an_axis_above_its_floor_is_named_where_all_together_are_at_it() {
 }
 
 #[test]
+fn each_verdict_on_one_recording_requests_two_more() {
+    let requests = |recordings: [usize; 2]| {
+        let page = uncolored(&Diagnosis { recordings, ..full() });
+        let words: Vec<&str> = page.split_whitespace().collect();
+        words.join(" ").matches("One recording: no claim about others; record two more.").count()
+    };
+    // Three accepted effects, and the conclusion.
+    assert_eq!(requests([1, 1]), 4);
+    assert_eq!(requests([3, 3]), 0);
+}
+
+#[test]
 fn dropped_steps_are_listed_with_their_reason() {
     let dropped = |step: &str, reason| DroppedStep { step: step.to_owned(), gain: 0.021, reason };
     let mut diagnosis = full();

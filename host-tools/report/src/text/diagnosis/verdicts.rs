@@ -8,6 +8,7 @@ use model_export::effects::find;
 use model_export::inverse::device_support::DeviceSupport;
 use serde_json::{Value, json};
 
+use super::conclusion::one_recording;
 use super::reasons::{reason, reason_sentence, short_reason, value};
 use crate::text::terminal::{self, HEADING, NARROW_WIDTH, narrow, narrow_styled, or_dash};
 
@@ -133,6 +134,7 @@ pub(super) fn accepted_effects(diagnosis: &Diagnosis) -> String {
             reason_sentence(verdict),
             similar_effects(verdict),
             beyond_polynomial(diagnosis, verdict),
+            one_recording(diagnosis).unwrap_or_default(),
         ];
         let said: Vec<String> = evidence.into_iter().filter(|said| !said.is_empty()).collect();
         page += &narrow(&format!("  {}", said.join(" ")));
