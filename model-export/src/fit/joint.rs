@@ -57,6 +57,8 @@ pub struct SensorFit {
     pub block_s: f64,
     /// Longest correlation time of the residual in seconds.
     pub correlation_s: f64,
+    /// Variance inflation of the data by autocorrelated or structured residuals.
+    pub inflation: f64,
     /// Whether the priors of the base parameters were centred at nominal, not at the fit of the base alone.
     pub starts_nominal: bool,
 }
@@ -65,6 +67,12 @@ impl SensorFit {
     /// Standard error of a value.
     pub fn std_error(&self, index: usize) -> f64 {
         self.covariance[(index, index)].max(0.0).sqrt()
+    }
+
+    /// Prior width of a value, at the value, in its unit.
+    pub fn prior_width(&self, index: usize) -> f64 {
+        let parameter = &self.parameters[index];
+        parameter.derivative(parameter.to_scaled(self.values[index])).abs()
     }
 
     /// Held-out errors over all folds.
@@ -461,6 +469,7 @@ fn sensor_result(
         fold_values,
         block_s: state.length_s,
         correlation_s: state.correlation_s,
+        inflation: state.inflation,
         starts_nominal: problem.starts_nominal,
         parameters: problem.parameters.clone(),
     }

@@ -130,6 +130,7 @@ fn sensor_effects(
                 std_error: digits(sensor.std_error(first + i)),
                 unit: parameters[i].unit.to_string(),
                 identifiable: sensor.identifiable[first + i],
+                prior_width: Some(digits(sensor.prior_width(first + i))),
             };
             SensorEffect {
                 number: sensor.sensor,
@@ -147,8 +148,13 @@ mod tests {
 
     #[test]
     fn missing_parameter_of_an_effect_is_named() {
-        let value =
-            FittedValue { value: 0.1, std_error: 0.01, unit: "%".to_owned(), identifiable: true };
+        let value = FittedValue {
+            value: 0.1,
+            std_error: 0.01,
+            unit: "%".to_owned(),
+            identifiable: true,
+            prior_width: None,
+        };
         let mut model = EffectModel {
             name: "demagnetisation".to_owned(),
             expression: None,

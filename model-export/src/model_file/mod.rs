@@ -34,7 +34,8 @@ pub use crate::fit::base_model::BaseKind;
 pub use effects::{EffectModel, SensorEffect};
 pub use predictor::{FieldPrediction, Predictor, RowCorrection};
 pub use sensor::{
-    FittedValue, HeldOutError, PolynomialTable, SensorModel, UnidentifiableCombination,
+    CorrelationTable, FittedValue, HeldOutError, PolynomialTable, SensorModel,
+    UnidentifiableCombination,
 };
 
 /// Format version. Raised where a key is removed, or changes its meaning or unit: earlier files are then refused, and users
@@ -104,7 +105,7 @@ impl ModelFile {
             CampaignFits::Cylinder(design, fit) => (
                 BaseKind::Cylinder,
                 Some(design.clone()),
-                fit.sensors.iter().map(|fit| SensorModel::of_cylinder(fit, &fit.values)).collect(),
+                fit.sensors.iter().map(|fit| SensorModel::of_cylinder(fit, &[], 0)).collect(),
             ),
             CampaignFits::Polynomial(fits) => {
                 (BaseKind::Polynomial, None, fits.iter().map(SensorModel::of_polynomial).collect())
@@ -131,8 +132,11 @@ impl ModelFile {
         provenance: Provenance,
     ) -> Self {
         let sensor = |(i, fit): (usize, &SensorFit)| match prepared.polynomials.get(i) {
-            None => SensorModel::of_cylinder(fit, &fit.values),
-            Some(start) => SensorModel::of_polynomial_with_effects(start, fit),
+            None => SensorModel::of_cylinder(fit, effects, campaign.recordings.len()),
+            Some(start) => {
+                let recordings = campaign.recordings.len();
+                SensorModel::of_polynomial_with_effects(start, fit, effects, recordings)
+            }
         };
         let base =
             if prepared.design.is_some() { BaseKind::Cylinder } else { BaseKind::Polynomial };
@@ -288,6 +292,13 @@ impl ModelFile {
                     key("number"),
                     sensor.number.to_string(),
                     "duplicate number: use the sensor numbers of the recordings",
+                );
+            }
+            if sensor.correlation.as_ref().is_some_and(|table| !table.is_complete()) {
+                return bad(
+                    key("correlation"),
+                    "not one value from -1 to 1 for each pair".to_owned(),
+                    "remove this table, or repeat the fit",
                 );
             }
             if self.base == BaseKind::Polynomial {

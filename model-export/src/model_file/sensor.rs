@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 
-use crate::effects::FinalState;
+use crate::effects::{EffectTerm, FinalState};
 use crate::fit::AxisScore;
 use crate::fit::joint::SensorFit;
 use crate::fit::polynomial::{Polynomial, PolynomialFit};
@@ -36,6 +36,12 @@ pub struct SensorModel {
     /// With the cylinder base: unidentifiable combinations, fixed at their nominal values.
     #[serde(rename = "held", default, skip_serializing_if = "Vec::is_empty")]
     pub unidentifiable: Vec<UnidentifiableCombination>,
+    /// Variance inflation of the data by autocorrelated or structured residuals.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub noise_inflation: Option<f64>,
+    /// Correlations of the estimates, those of effects included.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub correlation: Option<CorrelationTable>,
     /// With the cylinder base: forces that the campaign did not measure or did not excite. They are assumed to be zero, and their
     /// stiffness is nominal.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -74,8 +80,11 @@ pub struct FittedValue {
     pub std_error: f64,
     /// Unit of both.
     pub unit: String,
-    /// Whether the data determine it to half a manufacturing tolerance.
+    /// Whether the data determine it to half its prior width.
     pub identifiable: bool,
+    /// Prior width of a parameter of an effect; that of a base parameter is its manufacturing tolerance.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub prior_width: Option<f64>,
 }
 
 /// A combination of parameters that the data do not determine.
@@ -87,6 +96,66 @@ pub struct UnidentifiableCombination {
     /// Standard error from the data alone in units of tolerance.
     #[serde(rename = "known_within")]
     pub sigma_tolerances: f64,
+}
+
+/// Correlations of the estimates of one sensor.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct CorrelationTable {
+    /// Parameters, those of an effect as `effect.parameter`. Without coefficients of polynomials, parameters of single recordings, and
+    /// those that are shared by all sensors or preset: their covariance with the others is not estimated.
+    pub names: Vec<String>,
+    /// Below the diagonal, row by row from the second parameter.
+    pub rows: Vec<Vec<f64>>,
+}
+
+impl CorrelationTable {
+    /// Of a fit with these effects, from the parameter `first`; `None` for fewer than two parameters.
+    pub(super) fn of(
+        fit: &SensorFit,
+        effects: &[EffectTerm],
+        first: usize,
+        recordings: usize,
+    ) -> Option<Self> {
+        let mut effects: Vec<&EffectTerm> = effects.iter().collect();
+        effects.sort_by_key(|effect| effect.stage());
+        let of_effects = effects.into_iter().flat_map(|effect| {
+            let parameters = effect.parameters(recordings).into_iter();
+            parameters.map(move |parameter| format!("{}.{}", effect.name(), parameter.name))
+        });
+        let base = fit.parameters[..fit.base_count].iter().map(|parameter| parameter.name.clone());
+        let is_estimated = |index: usize| {
+            let parameter = &fit.parameters[index];
+            let is_own = parameter.recording.is_none() && !parameter.is_state && !parameter.shared;
+            is_own && parameter.preset_sigma.is_none() && fit.std_error(index) > 0.0
+        };
+        let (indices, names): (Vec<usize>, Vec<String>) = base
+            .chain(of_effects)
+            .enumerate()
+            .filter(|(index, _)| *index >= first && is_estimated(*index))
+            .unzip();
+        let correlation = |i: usize, j: usize| {
+            let scale = fit.std_error(i) * fit.std_error(j);
+            digits((fit.covariance[(i, j)] / scale).clamp(-1.0, 1.0))
+        };
+        let row = |(count, &i): (usize, &usize)| {
+            indices[..count].iter().map(|&j| correlation(i, j)).collect::<Vec<f64>>()
+        };
+        let rows = indices.iter().enumerate().skip(1).map(row).collect();
+        (names.len() > 1).then_some(Self { names, rows })
+    }
+
+    /// Whether there is a value from -1 to 1 for each pair of names.
+    pub(super) fn is_complete(&self) -> bool {
+        let lengths = self.rows.iter().map(Vec::len);
+        lengths.eq(1..self.names.len())
+            && self.rows.iter().flatten().all(|value| (-1.0..=1.0).contains(value))
+    }
+
+    /// Correlation of two parameters, by their places in [`CorrelationTable::names`].
+    pub fn between(&self, i: usize, j: usize) -> f64 {
+        let (low, high) = (i.min(j), i.max(j));
+        if low == high { 1.0 } else { self.rows[high - 1][low] }
+    }
 }
 
 /// Coefficients of a polynomial of the forces.
@@ -108,13 +177,14 @@ pub struct PolynomialTable {
 }
 
 impl SensorModel {
-    /// The entry of a sensor with these values and the standard errors of the fit.
-    pub(super) fn of_cylinder(fit: &SensorFit, values: &[f64]) -> Self {
+    /// The entry of a sensor with the values and the standard errors of a fit with these effects.
+    pub(super) fn of_cylinder(fit: &SensorFit, effects: &[EffectTerm], recordings: usize) -> Self {
         let value = |i: usize| FittedValue {
-            value: digits(values[i]),
+            value: digits(fit.values[i]),
             std_error: digits(fit.std_error(i)),
             unit: fit.parameters[i].unit.clone(),
             identifiable: fit.identifiable[i],
+            prior_width: None,
         };
         let combination =
             |held: &crate::fit::identifiability::Unidentifiable| UnidentifiableCombination {
@@ -134,6 +204,8 @@ impl SensorModel {
                 .map(|i| (fit.parameters[i].name.clone(), value(i)))
                 .collect(),
             unidentifiable: fit.unidentifiable.iter().map(combination).collect(),
+            noise_inflation: Some(digits(fit.inflation)),
+            correlation: CorrelationTable::of(fit, effects, 0, recordings),
             assumed_zero: own_forces(fit.sensor)
                 .into_iter()
                 .filter(|force| !fit.forces.contains(force))
@@ -144,8 +216,14 @@ impl SensorModel {
         }
     }
 
-    pub(super) fn of_polynomial_with_effects(start: &PolynomialFit, fit: &SensorFit) -> Self {
+    pub(super) fn of_polynomial_with_effects(
+        start: &PolynomialFit,
+        fit: &SensorFit,
+        effects: &[EffectTerm],
+        recordings: usize,
+    ) -> Self {
         let mut entry = Self::of_polynomial(start);
+        entry.correlation = CorrelationTable::of(fit, effects, fit.base_count, recordings);
         entry.held_out = fit.scores.iter().map(HeldOutError::of).collect();
         if let Some(table) = &mut entry.polynomial {
             let row = |i: usize, of: &dyn Fn(usize) -> f64| {
@@ -173,6 +251,8 @@ impl SensorModel {
             parity_residual_g: None,
             parameters: BTreeMap::new(),
             unidentifiable: Vec::new(),
+            noise_inflation: None,
+            correlation: None,
             assumed_zero: Vec::new(),
             polynomial: Some(PolynomialTable {
                 degree: model.degree,

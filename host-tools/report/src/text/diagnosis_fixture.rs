@@ -151,6 +151,7 @@ pub fn formula() -> DiscoveredFormula {
         std_error,
         unit: "G".to_owned(),
         identifiable: true,
+        prior_width: None,
     };
     let sensor = |number: u32, a: f64, b: f64| SensorEffect {
         number,
