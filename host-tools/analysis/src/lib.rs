@@ -7,6 +7,7 @@
 //! - [`diagnose`]: missing physical effects.
 //! - [`model`]: a model, read once.
 //! - [`import`]: tables of other loggers as a campaign, checked.
+//! - [`parameters`]: the fitted parameters of a model, and what the recordings do not identify.
 //! - [`fit`], [`edit_model`]: fit of the base physics, and of other effects.
 //! - [`workbench`]: models of one campaign side by side, each fitted on first use.
 //! - [`network_training`]: training of recurrent networks.
@@ -31,6 +32,7 @@ pub mod network_training;
 pub mod noise_floor;
 pub mod notes;
 pub mod numbers;
+pub mod parameters;
 pub mod progress;
 pub mod reference_delay;
 pub mod replay;

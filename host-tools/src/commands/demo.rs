@@ -9,6 +9,7 @@ use analysis::diagnose::{Diagnosis, Scope, diagnose};
 use analysis::edit_model::{edited_output, refit};
 use analysis::fit::fit_model;
 use analysis::model::Model;
+use analysis::parameters::ParameterTable;
 use analysis::progress;
 use analysis::statistics::pooled_rms;
 use anyhow::{Context, Result, bail};
@@ -107,7 +108,7 @@ pub fn run(args: &Args) -> Result<()> {
         let built = build(&model_path, ModelVariant::Fitted)?;
         terminal::print(&format!(
             "\n{}\n{}{}\n{}\n{}\n",
-            text::fit::parameters(model),
+            text::parameters::format_report(&ParameterTable::of(model)),
             text::fit::error_table(campaign, model),
             text::fit::verdict(model, campaign.signal_unit()),
             gap_axis_note(model),

@@ -16,6 +16,7 @@ use std::borrow::Cow;
 use crate::data_quality::finding::Finding;
 use crate::noise_floor::NoiseSummary;
 use crate::notes::{MissingForces, Note};
+use crate::parameters::ParameterTable;
 use crate::statistics::{ErrorStatistics, pooled_rms};
 use model_export::effects::ErrorOrigin;
 use model_export::fit::cross_validation::CvSplit;
@@ -274,6 +275,8 @@ pub struct Comparison {
     pub histograms: Vec<Histogram>,
     /// Noise of the recordings, and how it was estimated.
     pub noise: NoiseSummary,
+    /// Parameters of the model, as they were fitted to the recordings of its provenance.
+    pub parameters: ParameterTable,
     /// Provenance of the results; `None` if a setup error stops the comparison.
     pub provenance: Option<ComparisonProvenance>,
     /// Notes on the recordings and on the models, including the baseline model.

@@ -16,6 +16,7 @@ use crate::data_quality::finding::Finding;
 use crate::model::Model;
 use crate::noise_floor::NoiseSummary;
 use crate::notes::{Note, collect};
+use crate::parameters::ParameterTable;
 use anyhow::{Result, bail};
 use model_export::effects::EffectTerm;
 use model_export::effects::excitation::source_column;
@@ -160,6 +161,7 @@ pub(crate) fn evaluate(
         worst: worst_intervals(&columns, &names, &fields.spans_s),
         correlation_s,
         noise: NoiseSummary::of(fields.noise.iter()),
+        parameters: ParameterTable::of(file),
         traces: fields.traces,
         histograms: device.histograms,
         provenance: Some(provenance(file, &plan, block_s, options)),

@@ -5,6 +5,7 @@
 //! - [`errors`] and [`tables`]: errors by sensor; [`histograms`]: distribution of the errors.
 //! - [`traces`]: measured and modelled values over time; [`pack`]: their curves for the page's script.
 //! - [`attribution`], [`map`]: dependence of the error on covariates.
+//! - [`parameters`]: fitted parameters with errors and correlations.
 //! - [`diagnosis`]: sections of a diagnosis.
 //! - [`design`]: sections of sensor designs.
 //! - [`drive`]: sections of a run of the drive; [`grasp`]: of a grasp and of a ground contact.
@@ -24,6 +25,7 @@ pub mod histograms;
 pub mod map;
 pub mod pack;
 pub mod palette;
+pub mod parameters;
 pub mod plot;
 pub mod summary;
 pub mod tables;
@@ -73,6 +75,7 @@ pub fn page_with(comparison: &Comparison, more: &[Section]) -> String {
             (attribution::section(comparison))
             (map::section(comparison))
             (attribution::worst_section(comparison))
+            (parameters::section(comparison))
         }
         (summary::provenance_section(comparison))
     };
@@ -135,6 +138,7 @@ fn links(more: &[Section], is_before_and_after: bool) -> Markup {
         ("located", "Dependence on covariates"),
         ("map", "Map"),
         ("worst", "Worst stretches"),
+        ("parameters", "Fitted parameters"),
         ("origin", "Provenance"),
     ]);
     html! {

@@ -18,7 +18,7 @@ const PX: u32 = 4;
 /// is scaled to 358 on a phone.
 const LETTERS: u32 = 16;
 /// Mean width of a letter in pixels.
-const LETTER_WIDTH: f64 = 8.0;
+pub const LETTER_WIDTH: f64 = 8.0;
 /// Minimum width of the labels of a vertical axis in pixels.
 const LABEL_WIDTH: f64 = 60.0;
 /// Size in pixels of plots placed in pairs; the text remains legible on a phone.

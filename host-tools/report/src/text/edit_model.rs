@@ -7,6 +7,7 @@ use analysis::diagnose::ConfoundedOffsets;
 use analysis::diagnose::fitted_model::MIN_GAIN;
 use analysis::edit_model::ModelEdit;
 use analysis::numbers;
+use analysis::parameters::ParameterTable;
 use model_export::effects::EffectTerm;
 use model_export::effects::catalogue::CLOCK_SKEW;
 use model_export::fit::cross_validation::{CvSplit, ErrorSums};
@@ -17,7 +18,7 @@ use serde_json::{Value, json};
 
 use crate::text::diagnosis::conclusion::confounded_offsets;
 use crate::text::terminal::{self, SENSORS_ACROSS};
-use crate::text::{force_error, notes};
+use crate::text::{force_error, notes, parameters};
 
 /// A residual above this multiple of the floor may mask an effect.
 const MASKING_RESIDUAL: f64 = 1.5;
@@ -321,7 +322,7 @@ pub fn to_json(edit: &ModelEdit) -> Value {
             "sensors": effect.sensors,
         })
     });
-    json!({
+    let mut object = json!({
         "before": side(&edit.before.1),
         "after": side(&edit.after.1),
         "floor_g": edit.after.1.tally().floor_g(),
@@ -332,5 +333,8 @@ pub fn to_json(edit: &ModelEdit) -> Value {
         "uncompensated": edit.uncompensated.iter().map(notes::uncompensated).collect::<Vec<_>>(),
         "verdict": verdict(edit),
         "notices": notes::texts(&edit.notes),
-    })
+    });
+    let mut of_model = parameters::to_json(&ParameterTable::of(&edit.model));
+    object.as_object_mut().into_iter().for_each(|object| object.append(&mut of_model));
+    object
 }

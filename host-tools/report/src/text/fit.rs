@@ -6,30 +6,23 @@ use analysis::compare::{AT_FLOOR, BELOW_FLOOR, is_at_floor};
 use analysis::fit::CampaignFit;
 use analysis::noise_floor::NoiseSummary;
 use analysis::numbers;
+use analysis::parameters::ParameterTable;
 use analysis::statistics::pooled_rms;
-use model_export::fit::parameters::{PARAMETERS, tolerances, values};
 use model_export::fit::polynomial::PolynomialFit;
 use model_export::fit::{CampaignFits, FitOptions};
-use model_export::model_file::{
-    BaseKind, HeldOutError, ModelFile, SensorModel, UnidentifiableCombination,
-};
-use model_export::physics::ForwardModel;
+use model_export::model_file::{BaseKind, HeldOutError, ModelFile, SensorModel};
 use model_export::recordings::Campaign;
 use model_export::recordings::columns::SignalUnit;
 use model_export::recordings::dependence::block_folds;
 use serde_json::{Value, json};
 
-use crate::text::terminal::{self, SENSORS_ACROSS};
-use crate::text::{force_error, notes};
-
-/// Parameters further from nominal, in tolerances, are marked: the gripper or the design file may be wrong.
-const OUTLIER_TOLERANCES: f64 = 3.0;
+use crate::text::{force_error, notes, parameters, terminal};
 
 pub fn format_report(fit: &CampaignFit) -> String {
     let CampaignFit { campaign, fits, model, force, .. } = fit;
     let provenance = &model.provenance;
     let base = match fits {
-        CampaignFits::Cylinder(..) => parameters(model) + &unidentifiable_text(model),
+        CampaignFits::Cylinder(..) => parameters::format_report(&ParameterTable::of(model)),
         CampaignFits::Polynomial(fits) => degree_table(fits, campaign.signal_unit()),
     };
     format!(
@@ -61,75 +54,6 @@ fn longest_block_s(fits: &CampaignFits) -> f64 {
         CampaignFits::Polynomial(fits) => fits.iter().map(|fit| fit.block_s).collect(),
     };
     lengths.into_iter().fold(0.0, f64::max)
-}
-
-pub fn parameters(model: &ModelFile) -> String {
-    let Some(design) = &model.design else {
-        return String::new();
-    };
-    let design = ForwardModel::nominal(design);
-    let (nominals, tolerances) = (values(&design), tolerances(&design));
-    let mut text = "Fitted parameters ± one standard deviation, nominal design and tolerance (assumed manufacturing\n\
-                    scatter). ?: standard error above half a tolerance. !: over 3 tolerances off, check the design.\n"
-        .to_owned();
-    for sensors in model.sensors.chunks(SENSORS_ACROSS) {
-        let numbers = sensors.iter().map(|sensor| format!("sensor {}", sensor.number));
-        let headers = ["parameter", "nominal", "tol."].map(String::from);
-        let mut table = terminal::table(headers.into_iter().chain(numbers));
-        for (i, parameter) in PARAMETERS.iter().enumerate() {
-            let fitted = sensors.iter().map(|sensor| {
-                let value = sensor.parameters.get(parameter.name);
-                value.map_or_else(String::new, |value| {
-                    let text = numbers::with_error(value.value, value.std_error, tolerances[i]);
-                    let nominal = model.nominal(sensor.number).unwrap_or(design);
-                    let far = (value.value - values(&nominal)[i]).abs()
-                        > OUTLIER_TOLERANCES * tolerances[i];
-                    text + match (value.identifiable, far) {
-                        (false, _) => "?",
-                        (true, true) => "!",
-                        (true, false) => "",
-                    }
-                })
-            });
-            let labels = [
-                format!("{} {}", parameter.name, parameter.unit),
-                numbers::decimal(nominals[i], 3),
-                numbers::decimal(tolerances[i], 3),
-            ];
-            table.add_row(labels.into_iter().chain(fitted).collect::<Vec<_>>());
-        }
-        terminal::right_align(&mut table, 1);
-        text += &format!("{table}\n");
-    }
-    text
-}
-
-/// The parameter combinations that were fixed at nominal.
-fn unidentifiable_text(model: &ModelFile) -> String {
-    let mut text = String::new();
-    if model.sensors.iter().any(|sensor| !sensor.unidentifiable.is_empty()) {
-        text += "Unidentifiable parameter combinations, fixed at nominal (weights in tolerances; in parentheses the\n\
-                 standard error from the data alone, in tolerances):\n";
-    }
-    for sensor in model.sensors.iter().filter(|sensor| !sensor.unidentifiable.is_empty()) {
-        let combinations: Vec<String> = sensor.unidentifiable.iter().map(combination).collect();
-        // Two per line.
-        let lines: Vec<String> = combinations.chunks(2).map(|pair| pair.join("; ")).collect();
-        text += &format!("  sensor {}: {}\n", sensor.number, lines.join("\n            "));
-    }
-    text
-}
-
-fn combination(held: &UnidentifiableCombination) -> String {
-    let mut shares: Vec<_> = held.shares.iter().collect();
-    shares.sort_by(|a, b| b.1.abs().total_cmp(&a.1.abs()));
-    let shares: Vec<String> =
-        shares.iter().map(|(name, share)| format!("{share:+.2} {name}")).collect();
-    let std_error = match held.sigma_tolerances {
-        tolerances if tolerances < 100.0 => format!("{tolerances:.1}"),
-        _ => "unbounded".to_owned(),
-    };
-    format!("{} ({std_error})", shares.join(" "))
 }
 
 fn degree_table(fits: &[PolynomialFit], unit: SignalUnit) -> String {
@@ -264,27 +188,28 @@ pub fn to_json(fit: &CampaignFit) -> Value {
         })
     });
     let unit = fit.campaign.signal_unit().symbol();
-    json!({
+    let mut object = json!({
         "axes": axis_errors.collect::<Vec<_>>(),
         "force": fit.force,
         "held_out_rms_g": pooled_rms(axes(model).map(|(_, axis)| axis.rms_g)),
-        "parameters": model.sensors.iter().flat_map(|sensor| parameters_json(sensor, unit)).collect::<Vec<_>>(),
         "held": held.collect::<Vec<_>>(),
         "signal_unit": unit,
         "verdict": verdict(model, fit.campaign.signal_unit()),
         "provenance": model.provenance,
         "notices": notes::texts(&fit.notes),
-    })
+    });
+    let mut of_model = parameters::to_json(&ParameterTable::of(model));
+    if let Some(estimates) = of_model.get_mut("parameters").and_then(Value::as_array_mut) {
+        estimates.extend(model.sensors.iter().flat_map(|sensor| coefficients_json(sensor, unit)));
+    }
+    object.as_object_mut().into_iter().for_each(|object| object.append(&mut of_model));
+    object
 }
 
-fn parameters_json(sensor: &SensorModel, unit: &str) -> Vec<Value> {
+/// Coefficients of a polynomial, which have no design.
+fn coefficients_json(sensor: &SensorModel, unit: &str) -> Vec<Value> {
     let number = sensor.number;
     let mut parameters = Vec::new();
-    for (name, p) in &sensor.parameters {
-        let mut object = json!(p);
-        (object["sensor"], object["name"]) = (number.into(), name.as_str().into());
-        parameters.push(object);
-    }
     if let Some(table) = &sensor.polynomial {
         let rows = table.terms.iter().zip(&table.coefficients_g).zip(&table.std_errors_g);
         for ((term, values), errors) in rows {

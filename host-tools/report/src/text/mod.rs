@@ -19,6 +19,7 @@ pub mod force_error;
 pub mod grasp;
 pub mod import;
 pub mod notes;
+pub mod parameters;
 pub mod recording_check;
 pub mod recording_plan;
 pub mod replay;

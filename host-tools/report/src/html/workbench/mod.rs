@@ -14,7 +14,9 @@ use serde_json::{Value, json};
 
 use crate::html::diagnosis::verdicts::planned;
 use crate::html::plot::{Along, axes, figure, px, stroke};
-use crate::html::{attribution, errors, head, histograms, map, palette, summary, traces};
+use crate::html::{
+    attribution, errors, head, histograms, map, palette, parameters, summary, traces,
+};
 use crate::text::comparison::conclusion::{validation, verdict};
 use crate::text::comparison::{force_headline, force_origins};
 use crate::text::diagnosis::formulas::formula_on_device;
@@ -279,6 +281,7 @@ fn view(comparison: &Comparison) -> String {
         (map::section(comparison))
         (histograms::section(comparison))
         (attribution::worst_section(comparison))
+        (parameters::section(comparison))
     };
     sections.into_string()
 }

@@ -16,7 +16,7 @@ use anstyle::Style;
 use serde_json::{Value, json};
 
 use crate::text::terminal::{self, ERROR, GOOD, HEADING, TextTable, WARNING, WIDTH, or_dash};
-use crate::text::{findings, force_error};
+use crate::text::{findings, force_error, parameters};
 use attribution::{attribution_table, worst_json, worst_segments};
 use conclusion::{missing_forces, validation, verdict};
 
@@ -276,8 +276,11 @@ pub fn to_json(comparison: &Comparison) -> Value {
         "noise": comparison.noise,
         "verdict": verdict(comparison),
     });
-    if let (Some(other), Some(fields)) = (&comparison.other, object.as_object_mut()) {
-        fields.insert("with".to_owned(), to_json(other));
+    if let Some(fields) = object.as_object_mut() {
+        fields.append(&mut parameters::to_json(&comparison.parameters));
+        if let Some(other) = &comparison.other {
+            fields.insert("with".to_owned(), to_json(other));
+        }
     }
     object
 }
