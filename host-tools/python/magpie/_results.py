@@ -127,7 +127,41 @@ class _Result:
 
 
 @dataclass(frozen=True)
-class Fit(_Result):
+class _WithParameters(_Result):
+    @property
+    def parameters(self) -> list[dict[str, Any]]:
+        """Each parameter of each sensor: value, standard error, design (``nominal``), ``prior_width`` (of the base the manufacturing
+        tolerance) and ``deviation`` from the design in standard deviations of tolerance and standard error together (of an
+        effect from zero, in standard errors)."""
+        return self.data["parameters"]
+
+    @property
+    def unidentified(self) -> list[dict[str, Any]]:
+        """Combinations that the prior decides, with the recording that would identify each (``remedy``)."""
+        return self.data["unidentified"]
+
+    def parameters_to_pandas(self) -> pandas.DataFrame:
+        """The parameters as a DataFrame."""
+        import pandas
+
+        return pandas.DataFrame(self.parameters)
+
+    def correlation(self, sensor: int) -> pandas.DataFrame:
+        """The correlation matrix of the parameters of a sensor, without those of single recordings and those that all sensors share."""
+        import pandas
+
+        tables = [table for table in self.data["correlations"] if table["sensor"] == sensor]
+        if not tables:
+            raise KeyError(f"no correlations of sensor {sensor}; the model file has none, or only the coefficients of a polynomial")
+        names = tables[0]["names"]
+        # The rows below the diagonal begin with the second parameter.
+        lower = [[*row, 1.0] for row in [[], *tables[0]["rows"]]]
+        full = [[lower[max(i, j)][min(i, j)] for j in range(len(names))] for i in range(len(names))]
+        return pandas.DataFrame(full, index=names, columns=names)
+
+
+@dataclass(frozen=True)
+class Fit(_WithParameters):
     """A fitted base model."""
 
     model: Model
@@ -144,7 +178,7 @@ class Fit(_Result):
 
 
 @dataclass(frozen=True)
-class Comparison(_Result):
+class Comparison(_WithParameters):
     """A model compared with recordings."""
 
     force: ForceError | None
@@ -230,7 +264,7 @@ class Diagnosis(_Result):
 
 
 @dataclass(frozen=True)
-class Edit(_Result):
+class Edit(_WithParameters):
     """A model with other effects, before and after.
 
     Both are fitted and evaluated anew on the same held-out rows: the folds of the cross-validation are those that the effects before
