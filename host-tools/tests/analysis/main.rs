@@ -12,6 +12,7 @@ mod independent_campaigns;
 mod logger_campaigns;
 mod networks;
 mod orientation;
+mod parameters;
 mod recording_differences;
 mod setup_errors;
 mod signal_unit;
