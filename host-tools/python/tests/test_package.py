@@ -65,6 +65,23 @@ def test_comparison_and_replay_are_those_of_the_command(command, ripple, fitted)
     assert replayed.force.rms_n > 1.0
 
 
+def test_parameters_have_errors_and_correlations(ripple, fitted, improved):
+    table = fitted.parameters_to_pandas()
+    assert len(table) == 2 * 14 and set(table["sensor"]) == {0, 1}
+    assert (table["identifiable"] == (table["std_error"] <= 0.5 * table["prior_width"])).all()
+    assert magpie.compare(fitted.model, ripple).parameters == fitted.parameters
+    matrix = fitted.correlation(1)
+    np.testing.assert_array_equal(matrix, matrix.T)
+    assert matrix.shape == (14, 14) and (np.diag(matrix) == 1).all()
+    (first, second), rows = matrix.index[:2], fitted.data["correlations"][1]["rows"]
+    assert matrix.loc[first, second] == rows[0][0]
+    assert {one["effect"] for one in improved.parameters} == {None, "ripple"}
+    assert "ripple.a" in improved.correlation(0).index
+    assert all(one["remedy"] for one in fitted.unidentified)
+    with pytest.raises(KeyError):
+        fitted.correlation(7)
+
+
 def test_added_formula_lowers_the_error_and_is_removed_again(ripple, improved):
     before, after = improved.force
     assert before.excess_n > 10 * after.excess_n

@@ -331,3 +331,59 @@ impl HeldOutError {
 pub(super) fn digits(value: f64) -> f64 {
     round_significant(value, 10)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::effects::EffectParameter;
+    use crate::fit::parameters::FreeParameter;
+
+    #[test]
+    fn correlation_is_covariance_over_both_standard_errors() {
+        let parameter = |name: &'static str| FreeParameter {
+            name: name.to_owned(),
+            ..FreeParameter::of(&EffectParameter::shape("time", "s", &[0.5, 1.0, 2.0]))
+        };
+        let mut parameters = ["gap", "pooled", "remanence"].map(parameter).to_vec();
+        parameters[1].shared = true;
+        let fit = SensorFit {
+            sensor: 0,
+            forces: Vec::new(),
+            orientation: SensorOrientation::default(),
+            base_count: 3,
+            offset_confounded: false,
+            values: vec![1.5, 0.0, 1.2],
+            covariance: DMatrix::from_row_slice(
+                3,
+                3,
+                &[4.0, 0.0, -3.0, 0.0, 1.0, 0.0, -3.0, 0.0, 9.0],
+            ),
+            prior_errors: vec![0.0; 3],
+            identifiable: vec![true; 3],
+            unidentifiable: Vec::new(),
+            scores: Vec::new(),
+            folds: Vec::new(),
+            fold_values: Vec::new(),
+            block_s: 1.0,
+            correlation_s: 0.1,
+            inflation: 1.0,
+            starts_nominal: true,
+            parameters,
+        };
+        // -3 / (2 * 3); the pooled parameter is left out.
+        let table = CorrelationTable::of(&fit, &[], 0, 1).unwrap();
+        let known = CorrelationTable {
+            names: ["gap", "remanence"].map(str::to_owned).to_vec(),
+            rows: vec![vec![-0.5]],
+        };
+        assert_eq!(table, known);
+        assert_eq!(
+            [table.between(0, 1), table.between(1, 0), table.between(1, 1)],
+            [-0.5, -0.5, 1.0]
+        );
+        assert!(table.is_complete() && CorrelationTable::of(&fit, &[], 2, 1).is_none());
+        for rows in [vec![], vec![vec![]], vec![vec![1.5]], vec![vec![0.5], vec![0.5, 0.5]]] {
+            assert!(!CorrelationTable { rows, ..known.clone() }.is_complete());
+        }
+    }
+}

@@ -5,11 +5,14 @@ use std::f64::consts::PI;
 use analysis::data_quality::Finding;
 use analysis::data_quality::evidence::{ColumnError, Evidence, RecordingSet};
 use analysis::data_quality::fix::{Fix, FixKind};
-use model_export::model_file::SensorScale;
+use model_export::model_file::{CorrelationTable, SensorScale};
 use model_export::recordings::Location;
 use model_export::recordings::columns::{Axis, SignalUnit};
 
 use analysis::compare::*;
+use analysis::parameters::{
+    ParameterEstimate, ParameterTable, Prior, Remedy, SensorCorrelation, Unidentified,
+};
 use analysis::statistics::ErrorStatistics;
 
 /// Seconds of a recording, and rows a second.
@@ -214,6 +217,7 @@ pub fn comparison(recordings: usize, sensors: u32, error: f64) -> Comparison {
             })
             .collect(),
         correlation_s: 0.42,
+        parameters: parameters(sensors),
         traces: traces(recordings, sensors, error),
         histograms: vec![
             histogram(Axis::X, 0.5 + 0.3 * error),
@@ -233,6 +237,44 @@ pub fn comparison(recordings: usize, sensors: u32, error: f64) -> Comparison {
                 .collect(),
         }),
         ..Comparison::default()
+    }
+}
+
+/// Gap and stiffness of each sensor, the first not identified, the second far from the design.
+fn parameters(sensors: u32) -> ParameterTable {
+    let estimate = |sensor: u32, name: &str, value: f64, nominal: f64| ParameterEstimate {
+        sensor,
+        effect: None,
+        name: name.to_owned(),
+        value,
+        std_error: 0.08,
+        unit: "mm".to_owned(),
+        identifiable: name != "gap",
+        nominal: Some(nominal),
+        prior_width: Some(0.1),
+        prior: Prior::ManufacturingTolerance,
+        deviation: Some((value - nominal) / 0.1_f64.hypot(0.08)),
+    };
+    ParameterTable {
+        estimates: (0..sensors)
+            .flat_map(|s| [estimate(s, "gap", 1.52, 1.5), estimate(s, "offset_x", -0.74, 0.0)])
+            .collect(),
+        correlations: (0..sensors)
+            .map(|sensor| SensorCorrelation {
+                sensor,
+                table: CorrelationTable {
+                    names: ["gap", "offset_x"].map(str::to_owned).to_vec(),
+                    rows: vec![vec![-0.93]],
+                },
+            })
+            .collect(),
+        unidentified: vec![Unidentified {
+            sensor: 0,
+            shares: [("gap".to_owned(), 1.0)].into(),
+            known_within: Some(1.4),
+            remedy: Remedy::Load { peak_n: [250.0, 0.0], after_effect: false },
+            known_within_then: Some(0.2),
+        }],
     }
 }
 

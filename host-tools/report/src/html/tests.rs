@@ -22,6 +22,7 @@ fn sections_are_in_order() {
         "id=\"located\"",
         "id=\"map\"",
         "id=\"worst\"",
+        "id=\"parameters\"",
         "id=\"origin\"",
     ]
     .iter()
@@ -33,7 +34,7 @@ fn sections_are_in_order() {
 #[test]
 fn sections_of_results_have_plots() {
     let page = page(&full(1));
-    for id in ["scale", "errors", "histograms", "located", "map"] {
+    for id in ["scale", "errors", "histograms", "located", "map", "parameters"] {
         assert!(section(&page, id).contains("role=\"img\""), "{id}");
     }
     assert!(!page.contains("could not be drawn"));
@@ -64,6 +65,25 @@ fn user_names_are_escaped() {
     assert_eq!(page.matches("<!--").count(), 1);
     assert_eq!(page.matches("<script").count(), page.matches("</script>").count());
     assert!(page.matches("&lt;b&gt;").count() > 8);
+}
+
+#[test]
+fn parameters_have_errors_designs_correlations_and_a_remedy() {
+    let page = page(&comparison(1, 2, 1.0));
+    let shown = section(&page, "parameters");
+    for part in [
+        // 0.02 and 0.74 over the root of 0.1² + 0.08².
+        "<td>1.520\u{b1}0.080?</td><td>1.50</td><td>0.100</td><td>+0.16</td><td>0.800</td>",
+        "<td>-0.740\u{b1}0.080!</td><td>0</td><td>0.100</td><td>-5.78</td><td>0.800</td>",
+        "offset_x -0.740\u{b1}0.080! mm, 0 by design (-5.8)",
+        "the correlations above 0.9: gap with offset_x -0.93 (sensor 0).",
+        "To identify them: one more recording with a lateral load to \u{b1}250 N.",
+        "gap (1.4, then 0.20)",
+        "aria-label=\"Correlations of the 2 parameters of sensor 1.\"",
+        "\u{2212}93",
+    ] {
+        assert!(shown.contains(part), "{part}: {shown}");
+    }
 }
 
 #[test]
