@@ -288,10 +288,7 @@ fn unidentified(
         let structured = sensor.noise_inflation.filter(|inflation| *inflation > STRUCTURED);
         let at_floor = structured
             .map(|inflation| 1.0 / (1.0 + inflation / held.sigma_tolerances.powi(2)).sqrt());
-        let unmeasured = sensor
-            .assumed_zero
-            .iter()
-            .find(|axis| held.shares.contains_key(&format!("stiffness_{}", axis.letter())));
+        let unmeasured = sensor.assumed_zero.first();
         let (remedy, known_within_then) = match (effect, unmeasured, at_floor) {
             (Some(effect), ..) => (effect.remedy(), None),
             (_, Some(axis), _) => (Remedy::Force(*axis), None),
