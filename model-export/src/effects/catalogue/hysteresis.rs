@@ -21,20 +21,14 @@ pub const EFFECT: Effect = Effect {
     parameters: &[
         EffectParameter::coefficient("friction_x", "N", 2.5),
         EffectParameter::coefficient("friction_z", "N", 2.5),
-        EffectParameter::shape("reach1_x", "N", &[2.0, 4.0, 8.0, 16.0, 32.0])
-            .slips_in_range(),
-        EffectParameter::shape("reach2_x", "N", &[4.0, 8.0, 16.0, 32.0, 64.0])
-            .slips_in_range(),
-        EffectParameter::shape("reach3_x", "N", &[8.0, 16.0, 32.0, 64.0, 128.0])
-            .slips_in_range(),
+        EffectParameter::shape("reach1_x", "N", &[2.0, 4.0, 8.0, 16.0, 32.0]).slips_in_range(),
+        EffectParameter::shape("reach2_x", "N", &[4.0, 8.0, 16.0, 32.0, 64.0]).slips_in_range(),
+        EffectParameter::shape("reach3_x", "N", &[8.0, 16.0, 32.0, 64.0, 128.0]).slips_in_range(),
         EffectParameter::shape("weight1_x", "", &[0.1, 0.3, 1.0, 3.0]),
         EffectParameter::shape("weight2_x", "", &[0.1, 0.3, 1.0, 3.0]),
-        EffectParameter::shape("reach1_z", "N", &[2.0, 4.0, 8.0, 16.0, 32.0])
-            .slips_in_range(),
-        EffectParameter::shape("reach2_z", "N", &[4.0, 8.0, 16.0, 32.0, 64.0])
-            .slips_in_range(),
-        EffectParameter::shape("reach3_z", "N", &[8.0, 16.0, 32.0, 64.0, 128.0])
-            .slips_in_range(),
+        EffectParameter::shape("reach1_z", "N", &[2.0, 4.0, 8.0, 16.0, 32.0]).slips_in_range(),
+        EffectParameter::shape("reach2_z", "N", &[4.0, 8.0, 16.0, 32.0, 64.0]).slips_in_range(),
+        EffectParameter::shape("reach3_z", "N", &[8.0, 16.0, 32.0, 64.0, 128.0]).slips_in_range(),
         EffectParameter::shape("weight1_z", "", &[0.1, 0.3, 1.0, 3.0]),
         EffectParameter::shape("weight2_z", "", &[0.1, 0.3, 1.0, 3.0]),
         EffectParameter::initial_state("begin_x", "", 0.5),
