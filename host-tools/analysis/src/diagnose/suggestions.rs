@@ -83,7 +83,7 @@ pub fn suggest(diagnosis: &Diagnosis, typed: &Invocation) -> Suggestion {
         if let Some(higher) = diagnosis.higher_degree {
             words.extend(["--degree".to_owned(), higher.degree.to_string()]);
         }
-        words.extend(["-o".to_owned(), better(typed.model)]);
+        words.extend(["-o".to_owned(), beside(typed.model, BETTER)]);
         line(&words)
     };
     let suggestion = |kind, commands| Suggestion { kind, commands };
@@ -111,18 +111,22 @@ pub fn suggest(diagnosis: &Diagnosis, typed: &Invocation) -> Suggestion {
         return suggestion(SuggestionKind::RaiseDegree, vec![fit(typed.campaign, typed.delay_ms)]);
     }
     if let Some(sets) = sets(&diagnosis.accepted) {
-        let add = |set: &Vec<&str>| {
-            let mut rest = named(set, typed.own);
-            rest.extend(["-o".to_owned(), better(typed.model)]);
-            command("add", &rest)
-        };
         let equivalent_formulas =
             diagnosis.equivalent_formulas.iter().flat_map(|formula| &formula.effects);
         let equivalent_formulas: Vec<String> =
             equivalent_formulas.map(|effect| effect.name().to_owned()).collect();
         let equivalent_formulas = (!equivalent_formulas.is_empty())
             .then(|| equivalent_formulas.iter().map(String::as_str).collect());
-        let commands: Vec<String> = sets.iter().chain(&equivalent_formulas).map(add).collect();
+        let sets: Vec<&Vec<&str>> = sets.iter().chain(&equivalent_formulas).collect();
+        let add = |(place, set): (usize, &&Vec<&str>)| {
+            let mut rest = named(set, typed.own);
+            // Each of several choices has a file of its own: none replaces another.
+            let choice =
+                if sets.len() > 1 { format!("better-{}", place + 1) } else { BETTER.into() };
+            rest.extend(["-o".to_owned(), beside(typed.model, &choice)]);
+            command("add", &rest)
+        };
+        let commands: Vec<String> = sets.iter().enumerate().map(add).collect();
         let kind = match commands.len() {
             1 => SuggestionKind::AddEffects,
             _ => SuggestionKind::ChooseEffect,
@@ -132,7 +136,7 @@ pub fn suggest(diagnosis: &Diagnosis, typed: &Invocation) -> Suggestion {
     if !diagnosis.formulas.is_empty() {
         // Structure remains, but what was found is a model to go on from.
         let mut rest = named(&found_terms(diagnosis), typed.own);
-        rest.extend(["-o".to_owned(), better(typed.model)]);
+        rest.extend(["-o".to_owned(), beside(typed.model, BETTER)]);
         return suggestion(SuggestionKind::AddEffects, vec![command("add", &rest)]);
     }
     let usable = |covariate: &&str| !MADE.contains(covariate);
@@ -227,10 +231,13 @@ fn guess(covariate: &str, base: BaseKind) -> String {
     }
 }
 
+/// Ending of the name of a better model.
+const BETTER: &str = "better";
+
 /// A new file name, so that the old model is preserved.
-fn better(model: &str) -> String {
+fn beside(model: &str, ending: &str) -> String {
     let stem = model.strip_suffix(".toml").unwrap_or(model);
-    format!("{stem}-better.toml")
+    format!("{stem}-{ending}.toml")
 }
 
 /// One line for a shell.
@@ -323,8 +330,8 @@ mod tests {
         assert_eq!(
             suggest(&tied, &typed).commands,
             [
-                "cargo magpie add m.toml 'my campaign' magnet_temperature creep -o m-better.toml --delay-ms -2.5",
-                "cargo magpie add m.toml 'my campaign' thermal_gap creep -o m-better.toml --delay-ms -2.5",
+                "cargo magpie add m.toml 'my campaign' magnet_temperature creep -o m-better-1.toml --delay-ms -2.5",
+                "cargo magpie add m.toml 'my campaign' thermal_gap creep -o m-better-2.toml --delay-ms -2.5",
             ]
         );
         assert_eq!(suggest(&tied, &typed).kind, SuggestionKind::ChooseEffect);
