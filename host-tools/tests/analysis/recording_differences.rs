@@ -24,7 +24,7 @@ fn diagnosed(dir: &WorkDir, campaign: &str) -> Value {
 }
 
 fn diagnosed_with(base: &str, dir: &WorkDir, campaign: &str) -> Value {
-    dir.stdout(&["fit", campaign, "--base", base, "-o", "model.toml"]);
+    dir.stdout(&["fit", campaign, "--base", base, "-o", "model.toml", "--force"]);
     dir.json(&["diagnose", "model.toml", campaign, "--json"])
 }
 

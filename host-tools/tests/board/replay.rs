@@ -203,7 +203,7 @@ fn long_recordings_are_bit_equal() {
         let Some(folder) = full_campaign(campaign) else {
             return;
         };
-        dir.stdout(&format!("fit {} -o model.toml", folder.display()));
+        dir.stdout(&format!("fit {} -o model.toml --force", folder.display()));
         for recording in NAMES {
             let made = plain(&dir.path("model.toml"));
             assert_bit_equal(made, &folder.join(recording), 29.9, 4);
