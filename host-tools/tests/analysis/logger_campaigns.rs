@@ -54,8 +54,8 @@ const CAMPAIGNS: [Expected; 11] = [
     },
     // The join is no lag of the flexures.
     Expected { mapping: Some("bags.toml"), ..expected("bags-sensors-3ms-apart", 0.1) },
-    // A reference that drifts, in recordings whose distances in time are unknown; a friction is provisional.
-    // Its field is 1 to 4 N of load apart between the directions of loading.
+    // A reference that drifts, in recordings whose distances in time are unknown; between the directions of loading the
+    // field is 1 to 4 N apart.
     Expected {
         mapping: Some("clocks-from-zero/mn.toml"),
         effects: &["hysteresis"],
