@@ -360,7 +360,7 @@ mod tests {
         assert_eq!(next.kind, SuggestionKind::ChooseEffect);
         assert_eq!(
             next.commands[1],
-            "cargo magpie add m.toml 'my campaign' --expr 'formula_1: dx_um = a*opening_mm' -o m-better.toml"
+            "cargo magpie add m.toml 'my campaign' --expr 'formula_1: dx_um = a*opening_mm' -o m-better-2.toml"
         );
     }
 
