@@ -1,14 +1,21 @@
 //! Smoothing of non-uniformly sampled rows, and how much of their noise it leaves.
+//!
+//! The window is as wide in each row as the noise permits (intersection of confidence intervals, Goldenshluger and Nemirovski 1997):
+//! wide where a load is slow, narrow at its corners. What has a memory (friction, a lag) would take the noise of narrow windows for
+//! motion.
 
 use nalgebra::{SMatrix, SVector};
 
 /// Half width of the smoothing window in rows.
-const HALF_WINDOW: usize = 4;
+pub const HALF_WINDOW: usize = 4;
 /// Half widths that are tried, and the one with which the regression hardly averages.
-const HALF_WINDOWS: [usize; 2] = [HALF_WINDOW, 3];
+pub const HALF_WINDOWS: [usize; 2] = [HALF_WINDOW, 3];
 const NARROWEST: usize = 2;
 /// Maximum ratio of the noise that two windows leave: more of the wider one is motion of the load.
 const SAME_NOISE: f64 = 1.2;
+/// Standard deviations of its noise by which a wider window's value may differ from the narrower ones': with more of them, wide
+/// windows round off a load's corners.
+const BOUND: f64 = 2.0;
 /// Minimum number of rows to compare windows.
 const MIN_ROWS: usize = 200;
 
@@ -20,12 +27,13 @@ pub fn smooth(time_s: &[f64], values: &[f64]) -> (Vec<f64>, Vec<f64>) {
 /// The same with a window of this half width.
 pub fn smooth_within(half_window: usize, time_s: &[f64], values: &[f64]) -> (Vec<f64>, Vec<f64>) {
     let n = values.len();
-    (0..n)
-        .map(|i| {
-            let range = i.saturating_sub(half_window)..(i + half_window + 1).min(n);
-            local_regression(time_s[i], &time_s[range.clone()], &values[range])
-        })
-        .unzip()
+    (0..n).map(|row| regression_at(row, half_window, time_s, values)).unzip()
+}
+
+/// Value and rate of one row.
+fn regression_at(row: usize, half_window: usize, time_s: &[f64], values: &[f64]) -> (f64, f64) {
+    let range = row.saturating_sub(half_window)..(row + half_window + 1).min(values.len());
+    local_regression(time_s[row], &time_s[range.clone()], &values[range])
 }
 
 /// Half width of the widest window that leaves no more than the noise of these columns, as the narrowest one shows it: a wider one
@@ -81,9 +89,73 @@ fn polynomial<const TERMS: usize>(
     Some((solution[0], solution[1] / half_span))
 }
 
-/// Response of [`smooth`] to a unit impulse in one row: the smoothing's effect on the noise of a single row.
+/// Smoothed values of a column, their rates, and the place in [`Smoother`] of the window of each row.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct SmoothingImpulse {
+pub struct SmoothColumn {
+    /// Smoothed values.
+    pub values: Vec<f64>,
+    /// Their rates per second.
+    pub rates: Vec<f64>,
+    /// Window of each row.
+    pub windows: Vec<u8>,
+}
+
+/// Windows for rows at these times, from the narrowest, with the effect of each one on the noise of a single row.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Smoother {
+    windows: Vec<SmoothingImpulse>,
+}
+
+impl Smoother {
+    /// Wider windows are multiples of the narrowest.
+    const FACTORS: [usize; 4] = [1, 2, 4, 8];
+
+    /// Of rows at these times whose narrowest window has this half width (see [`half_window`]).
+    pub fn new(half_window: usize, time_s: &[f64]) -> Self {
+        let window = |factor| SmoothingImpulse::within(factor * half_window, time_s);
+        Self { windows: Self::FACTORS.map(window).into() }
+    }
+
+    /// The column with the widest window in each row whose value agrees, within the noise, with those of all narrower ones.
+    pub fn smooth(&self, time_s: &[f64], values: &[f64]) -> SmoothColumn {
+        let Some((narrowest, wider)) = self.windows.split_first() else {
+            let (values, rates) = smooth(time_s, values);
+            return SmoothColumn { windows: vec![0; values.len()], values, rates };
+        };
+        let (mut smooth, mut rates) = smooth_within(narrowest.half_window, time_s, values);
+        let mut windows = vec![0; smooth.len()];
+        let squares: f64 = smooth.iter().zip(values).map(|(s, value)| (value - s).powi(2)).sum();
+        let variance = squares / (values.len() as f64 * (1.0 - narrowest.own_weight()));
+        let bound = |window: &SmoothingImpulse| BOUND * (variance * window.own_weight()).sqrt();
+        if variance > 0.0 && variance.is_finite() {
+            let own = bound(narrowest);
+            let mut limits: Vec<_> = smooth.iter().map(|s| Some((s - own, s + own))).collect();
+            for (place, window) in (1..).zip(wider) {
+                let own = bound(window);
+                for (row, limit) in limits.iter_mut().enumerate() {
+                    let Some((low, high)) = *limit else { continue };
+                    let (value, rate) = regression_at(row, window.half_window, time_s, values);
+                    let (low, high) = (low.max(value - own), high.min(value + own));
+                    *limit = (low <= high).then_some((low, high));
+                    if limit.is_some() {
+                        (smooth[row], rates[row], windows[row]) = (value, rate, place);
+                    }
+                }
+            }
+        }
+        SmoothColumn { values: smooth, rates, windows }
+    }
+
+    /// Additional gain, for each window, of a row's own noise by `operator` (of times, values, rates) relative to the smoothed
+    /// force, normalised by the part that smoothing removes.
+    pub fn noise_gains(&self, operator: impl Fn(&[f64], &[f64], &[f64]) -> Vec<f64>) -> Vec<f64> {
+        self.windows.iter().map(|window| window.noise_gain(&operator)).collect()
+    }
+}
+
+/// Response of [`smooth_within`] to a unit impulse in one row: the smoothing's effect on the noise of a single row.
+#[derive(Clone, Debug, Default, PartialEq)]
+struct SmoothingImpulse {
     half_window: usize,
     time_s: Vec<f64>,
     smooth: Vec<f64>,
@@ -91,47 +163,33 @@ pub struct SmoothingImpulse {
 }
 
 impl SmoothingImpulse {
-    /// Rows on each side of the impulse.
-    const MARGIN: usize = 20;
+    /// Rows on each side of the impulse and of the window.
+    const MARGIN: usize = 16;
 
-    /// The response at the median period of `time_s`.
-    pub fn new(time_s: &[f64]) -> Self {
-        Self::within(HALF_WINDOW, time_s)
-    }
-
-    /// The same with a window of this half width.
-    pub fn within(half_window: usize, time_s: &[f64]) -> Self {
+    /// The response with a window of this half width at the median period of `time_s`.
+    fn within(half_window: usize, time_s: &[f64]) -> Self {
         let mut steps: Vec<f64> = time_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
         steps.sort_by(f64::total_cmp);
-        let Some(step) = steps.get(steps.len() / 2) else {
-            return Self::default();
-        };
-        let rows = 0..=2 * Self::MARGIN;
+        let step = steps.get(steps.len() / 2).copied().unwrap_or(1.0);
+        let centre = half_window + Self::MARGIN;
+        let rows = 0..=2 * centre;
         let time_s: Vec<f64> = rows.clone().map(|i| step * i as f64).collect();
-        let impulse = |i: usize| f64::from(u8::from(i == Self::MARGIN));
+        let impulse = |i: usize| f64::from(u8::from(i == centre));
         let values: Vec<f64> = rows.map(impulse).collect();
         let (smooth, rate) = smooth_within(half_window, &time_s, &values);
         Self { half_window, time_s, smooth, rate }
     }
 
-    /// Half width of the window in rows; of no response that of [`smooth`].
-    pub fn half_window(&self) -> usize {
-        if self.smooth.is_empty() { HALF_WINDOW } else { self.half_window }
-    }
-
     /// Weight of a row's own value in its smoothed one.
     fn own_weight(&self) -> f64 {
-        self.smooth.get(Self::MARGIN).copied().unwrap_or(0.0)
+        self.smooth.get(self.half_window + Self::MARGIN).copied().unwrap_or(0.0)
     }
 
-    /// Additional gain of a row's own noise by `operator` (of times, values, rates) relative to the smoothed
-    /// force, normalised by the part that smoothing removes.
-    pub fn noise_gain(&self, operator: impl Fn(&[f64], &[f64], &[f64]) -> Vec<f64>) -> f64 {
+    fn noise_gain(&self, operator: impl Fn(&[f64], &[f64], &[f64]) -> Vec<f64>) -> f64 {
         let changed = operator(&self.time_s, &self.smooth, &self.rate);
-        match (changed.get(Self::MARGIN), self.smooth.get(Self::MARGIN)) {
-            (Some(after), Some(before)) => (after - before) / (1.0 - before),
-            _ => 0.0,
-        }
+        let before = self.own_weight();
+        let after = changed.get(self.half_window + Self::MARGIN);
+        after.map_or(0.0, |after| (after - before) / (1.0 - before))
     }
 }
 

@@ -49,8 +49,8 @@ impl EffectStage {
 pub struct StateSeries {
     /// Force on each flexure in newtons; after [`EffectStage::Flexure`] the equivalent elastic force.
     pub force_n: Vec<[f64; 2]>,
-    /// Share of the reference's noise that effects have added to each force.
-    noise_gain: [f64; 2],
+    /// Share of the reference's noise that effects have added to each force, for each window of the smoothing.
+    noise_gains: [Vec<f64>; 2],
     /// Opening between the fingertips in mm; empty if not recorded.
     pub opening_mm: Vec<f64>,
     /// States; displacements are computed from the forces before [`EffectStage::Displacement`].
@@ -62,7 +62,7 @@ impl StateSeries {
     pub(super) fn unloaded(excitation: &ExcitationSeries) -> Self {
         Self {
             force_n: excitation.force_n.clone(),
-            noise_gain: [0.0; 2],
+            noise_gains: Default::default(),
             opening_mm: excitation.covariates.get("opening_mm").cloned().unwrap_or_default(),
             states: Vec::new(),
         }
@@ -82,7 +82,7 @@ impl StateSeries {
     pub fn at(&self, rows: &[usize]) -> Self {
         Self {
             force_n: select_rows(&self.force_n, rows),
-            noise_gain: self.noise_gain,
+            noise_gains: self.noise_gains.clone(),
             opening_mm: select_rows(&self.opening_mm, rows),
             states: select_rows(&self.states, rows),
         }
@@ -100,10 +100,11 @@ impl StateSeries {
         if self.force_n == excitation.force_n {
             return (force, rates);
         }
-        let rows = self.force_n.iter().zip(&excitation.force_n).zip(&force);
-        let added: Vec<f64> = rows
-            .map(|((after, read), smooth)| {
-                after[axis] - read[axis] - self.noise_gain[axis] * (read[axis] - smooth)
+        let added: Vec<f64> = (0..force.len())
+            .map(|row| {
+                let added_n = self.force_n[row][axis] - excitation.force_n[row][axis];
+                let noise_n = excitation.force_n[row][axis] - force[row];
+                added_n - excitation.at_window(&self.noise_gains[axis], row, axis) * noise_n
             })
             .collect();
         let last = added.len().saturating_sub(1);
@@ -130,10 +131,14 @@ impl StateSeries {
     ) {
         let (before, rates) = self.history(excitation, axis);
         let after = operator(&excitation.time_s, &before, &rates);
-        let gain = excitation.smoothing_impulse.noise_gain(&operator);
-        let noise = |row: usize| excitation.force_n[row][axis] - excitation.smooth_n[row][axis];
-        self.add_force(axis, |row| after[row] - before[row] - gain * noise(row));
-        self.noise_gain[axis] -= gain;
+        let gains = excitation.smoother.noise_gains(&operator);
+        let noise = |row: usize| {
+            let noise_n = excitation.force_n[row][axis] - excitation.smooth_n[row][axis];
+            excitation.at_window(&gains, row, axis) * noise_n
+        };
+        self.add_force(axis, |row| after[row] - before[row] - noise(row));
+        self.noise_gains[axis].resize(gains.len(), 0.0);
+        self.noise_gains[axis].iter_mut().zip(gains).for_each(|(sum, gain)| *sum -= gain);
     }
 
     /// Adds `term(row)` to the force of one axis (0 lateral, 1 longitudinal).

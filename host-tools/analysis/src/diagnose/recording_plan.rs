@@ -20,7 +20,7 @@ use model_export::fit::problem::SensorProblem;
 use model_export::fit::rows::{RecordingRows, SensorRows};
 use model_export::fit::score_test::ScoreTest;
 use model_export::recordings::columns::{Axis, COVARIATES, STATOR_CURRENTS};
-use model_export::recordings::smoothing::SmoothingImpulse;
+use model_export::recordings::smoothing::{HALF_WINDOW, Smoother};
 use model_export::stop;
 use nalgebra::Vector3;
 use rayon::prelude::*;
@@ -585,7 +585,7 @@ impl Template {
             recording: self.recording,
             start_s: self.start_s,
             before_s: self.before_s,
-            smoothing_impulse: SmoothingImpulse::new(&time_s),
+            smoother: Smoother::new(HALF_WINDOW, &time_s),
             temperature_c: match self.has_temperature {
                 true => time_s.iter().map(temperature).collect(),
                 false => Vec::new(),
