@@ -13,6 +13,12 @@ pub fn with_error(value: f64, error: f64, scale: f64) -> String {
     format!("{value:.decimals$}±{error:.decimals$}")
 }
 
+/// "0.00 to 1.94": both to three digits of the larger magnitude.
+pub fn between([least, largest]: [f64; 2]) -> String {
+    let decimals = decimals_for(0.1 * least.abs().max(largest.abs()));
+    format!("{least:.decimals$} to {largest:.decimals$}")
+}
+
 /// A number with at most `decimals` decimals, without trailing zeros.
 pub fn decimal(value: f64, decimals: usize) -> String {
     let text = format!("{value:.decimals$}");

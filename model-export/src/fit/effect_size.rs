@@ -27,6 +27,8 @@ pub struct EffectSize {
     /// The part of it that shows whether the effect is there: without what its prior takes from every sensor, and without the scatter
     /// over shapes.
     pub data_error: f64,
+    /// Least and largest value of a sensor, in `unit`, where the sensors differ so much that the magnitude describes none of them.
+    pub differs: Option<[f64; 2]>,
     /// Unit of the magnitude.
     pub unit: Cow<'static, str>,
     /// Name of the coefficient where there are several.
@@ -154,6 +156,7 @@ fn effect_size(
     // Whether a coefficient is there: the errors of the sensors are independent.
     let single = |i: usize| single_with(i, 0.0);
     let mut with_prior = None;
+    let mut of_sensors: Vec<(f64, f64)> = Vec::new();
     let (value, std_error, component) = match size.aggregation {
         Aggregation::Largest => {
             let all: Vec<(f64, f64)> = (0..count).map(single).collect();
@@ -186,6 +189,11 @@ fn effect_size(
                 }
                 _ => {
                     let name = || parameters[chosen].name.to_string();
+                    let values = fit.sensors.iter().map(|sensor| {
+                        let index = indices(sensor).start + chosen;
+                        (sensor.values[index], sensor.std_error(index))
+                    });
+                    of_sensors = values.collect();
                     (value, std_error, (count > 1).then(name))
                 }
             }
@@ -195,20 +203,20 @@ fn effect_size(
                 let first = indices(sensor).start;
                 propagate(sensor, first..first + parameters.len(), of)
             });
-            let all: Vec<(f64, f64)> = all.collect();
+            of_sensors = all.collect();
             let (value, std_error) = if matches!(size.aggregation, Aggregation::Mean(_)) {
-                unweighted_mean(&all)
+                unweighted_mean(&of_sensors)
             } else {
-                let max = all.into_iter().max_by(|a, b| a.0.total_cmp(&b.0));
+                let max = of_sensors.iter().copied().max_by(|a, b| a.0.total_cmp(&b.0));
                 max.unwrap_or((f64::NAN, f64::NAN))
             };
             (value, std_error, None)
         }
         Aggregation::Norm => {
-            let norms: Vec<(f64, f64)> = fit.sensors.iter().map(|s| norm(s, indices(s))).collect();
-            let (value, error) = unweighted_mean(&norms);
+            of_sensors = fit.sensors.iter().map(|s| norm(s, indices(s))).collect();
+            let (value, error) = unweighted_mean(&of_sensors);
             let shared = parameters.first().is_some_and(|parameter| parameter.shared);
-            let of_one = norms.first().map_or(error, |norm| norm.1);
+            let of_one = of_sensors.first().map_or(error, |norm| norm.1);
             (value, if shared { of_one } else { error }, None)
         }
     };
@@ -233,6 +241,7 @@ fn effect_size(
                 value,
                 std_error,
                 data_error: std_error,
+                differs: None,
                 unit: Cow::Borrowed(unit),
                 component,
                 size,
@@ -253,12 +262,24 @@ fn effect_size(
         value: value * size.factor,
         std_error: with_prior.unwrap_or(std_error) * size.factor.abs(),
         data_error: std_error * size.factor.abs(),
+        differs: differing(&of_sensors).map(|range| range.map(|value| value * size.factor)),
         unit: effect.size_unit(),
         component,
         size,
         largest: largest * size.factor.abs(),
         significance,
     }
+}
+
+/// Least and largest of the sensors' values with their standard errors, where their difference is significant and larger than half of
+/// the largest magnitude: smaller ones are manufacturing tolerances.
+fn differing(values: &[(f64, f64)]) -> Option<[f64; 2]> {
+    let by_value = |a: &&(f64, f64), b: &&(f64, f64)| a.0.total_cmp(&b.0);
+    let (least, largest) = (values.iter().min_by(by_value)?, values.iter().max_by(by_value)?);
+    let difference = largest.0 - least.0;
+    let is_significant = difference >= SIGNIFICANT * largest.1.hypot(least.1);
+    let is_large = difference > 0.5 * largest.0.abs().max(least.0.abs());
+    (is_significant && is_large).then_some([least.0, largest.0])
 }
 
 /// Squares of some parameters in their standard errors, with their correlations.

@@ -144,6 +144,8 @@ pub struct Verdict {
     pub value: f64,
     /// Standard error of the magnitude.
     pub std_error: f64,
+    /// Least and largest magnitude of a sensor, where that of all describes none of them.
+    pub differs: Option<[f64; 2]>,
     /// Unit of the magnitude.
     pub unit: String,
     /// Typical magnitude in standard errors of these recordings.
@@ -170,6 +172,7 @@ impl Verdict {
             inclusion: f64::NAN,
             value: f64::NAN,
             std_error: f64::NAN,
+            differs: None,
             unit: String::new(),
             z_typical: 0.0,
             implausible: None,

@@ -64,7 +64,7 @@ fn effect_table(edit: &ModelEdit) -> String {
         let remark = match (
             size.is_possible(),
             size.is_plausible(),
-            size.value.abs() < 2.0 * size.std_error,
+            size.value.abs() < 2.0 * size.std_error && size.differs.is_none(),
         ) {
             (_, _, true) => "not significant (2 standard errors)",
             (false, ..) => "impossible: a proxy for another effect",
@@ -73,7 +73,10 @@ fn effect_table(edit: &ModelEdit) -> String {
         };
         table.add_row([
             effect.name.clone(),
-            numbers::with_error(size.value, size.std_error, scale),
+            match size.differs {
+                Some(differs) => format!("{} by sensor", numbers::between(differs)),
+                None => numbers::with_error(size.value, size.std_error, scale),
+            },
             size.unit.to_string(),
             effect.quantity.clone(),
             number(size.size.typical),
@@ -319,6 +322,7 @@ pub fn to_json(edit: &ModelEdit) -> Value {
         json!({
             "effect": effect.name, "value": effect.value, "std_error": effect.std_error, "unit": effect.unit,
             "means": effect.quantity, "plausible": size.is_plausible(), "possible": size.is_possible(),
+            "differs": size.differs,
             "sensors": effect.sensors,
         })
     });

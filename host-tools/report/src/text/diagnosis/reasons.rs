@@ -23,7 +23,7 @@ struct ReasonWords {
 /// Both forms of every reason.
 fn words(verdict: &Verdict) -> ReasonWords {
     let z = verdict.z_typical;
-    let magnitude = || value(verdict.value, verdict.std_error, &verdict.unit);
+    let magnitude = || value(verdict);
     let missing = || verdict.reason.missing_data().unwrap_or_default().into();
     let (short, mut clause): (Cow<'static, str>, Cow<'static, str>) = match &verdict.reason {
         Reason::ReducesError => {
@@ -147,8 +147,13 @@ fn words(verdict: &Verdict) -> ReasonWords {
     ReasonWords { short, clause }
 }
 
-/// "7.98±0.01 N", or that the magnitude is not identifiable.
-pub(super) fn value(value: f64, std_error: f64, unit: &str) -> String {
+/// "7.98±0.01 N", of sensors that differ "0.00 to 1.94 ms by sensor", or that the magnitude is not identifiable.
+pub(super) fn value(verdict: &Verdict) -> String {
+    let Verdict { value, std_error, differs, unit, .. } = verdict;
+    if let Some(differs) = *differs {
+        return format!("{} {unit} by sensor", numbers::between(differs));
+    }
+    let (value, std_error) = (*value, *std_error);
     if std_error > MAX_RELATIVE_ERROR * value.abs() {
         return "not identifiable".to_owned();
     }

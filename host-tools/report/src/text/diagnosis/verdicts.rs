@@ -237,7 +237,7 @@ pub fn magnitude(verdict: &Verdict) -> String {
     if !verdict.value.is_finite() {
         return typical.unwrap_or_default();
     }
-    let value = value(verdict.value, verdict.std_error, &verdict.unit);
+    let value = value(verdict);
     match (find(&verdict.effect).ok(), typical) {
         (Some(effect), _) if effect.size.unit != verdict.unit => {
             format!(
@@ -267,6 +267,7 @@ pub(super) fn verdict_json(diagnosis: &Diagnosis, verdict: &Verdict) -> Value {
         "inclusion": verdict.inclusion,
         "value": verdict.value,
         "std_error": verdict.std_error,
+        "differs": verdict.differs,
         "unit": verdict.unit,
         "z_typical": verdict.z_typical,
         "reason": reason(verdict),
