@@ -28,7 +28,7 @@ pub fn draw(frame: &mut Frame, name: &str, state: &GripperState, now_s: f64) {
         [Constraint::Length(3), Constraint::Length(7), Constraint::Min(7), Constraint::Length(8)];
     let [head, sensors, curves, below] = Layout::vertical(rows).areas(frame.area());
     frame.render_widget(heading(name, state, now_s), head);
-    frame.render_widget(table(state, now_s), sensors);
+    frame.render_widget(table(state, now_s, sensors.width), sensors);
     let halves = [Constraint::Fill(1), Constraint::Fill(1)];
     let [left, right] = Layout::horizontal(halves).areas(curves);
     plot(frame, left, "Fx / N", 0, state, now_s);
@@ -78,18 +78,48 @@ fn heading(name: &str, state: &GripperState, now_s: f64) -> Paragraph<'static> {
     Paragraph::new(vec![first, Line::from(about), Line::from(covariates)])
 }
 
-fn table(state: &GripperState, now_s: f64) -> Table<'static> {
-    let heads = ["", "Fx / N", "±", "Fz / N", "±", "", "field / LSB", "°C", "age"];
-    let heads = heads.map(|head| Cell::from(Line::from(head).alignment(Alignment::Right)));
-    let widths = [2, 9, 6, 9, 6, 24, 20, 6, 8].map(Constraint::Length);
+/// Columns of the sensors with their widths.
+const COLUMNS: [(&str, u16); 9] = [
+    ("", 2),
+    ("Fx / N", 9),
+    ("±", 6),
+    ("Fz / N", 9),
+    ("±", 6),
+    ("", 24),
+    ("field / LSB", 20),
+    ("°C", 6),
+    ("age", 8),
+];
+/// Columns that a narrow terminal omits, in this order: the forces and their validity stay.
+const OMITTED: [usize; 3] = [6, 7, 8];
+
+/// The columns that fit into this width with their spaces and the border.
+fn fitting(width: u16) -> Vec<usize> {
+    let mut columns: Vec<usize> = (0..COLUMNS.len()).collect();
+    for omitted in OMITTED {
+        let needed: u16 = columns.iter().map(|column| COLUMNS[*column].1 + 1).sum();
+        if needed < width {
+            break;
+        }
+        columns.retain(|column| *column != omitted);
+    }
+    columns
+}
+
+fn table(state: &GripperState, now_s: f64, width: u16) -> Table<'static> {
+    let columns = fitting(width);
+    let heads = columns
+        .iter()
+        .map(|column| Cell::from(Line::from(COLUMNS[*column].0).alignment(Alignment::Right)));
+    let widths = columns.iter().map(|column| Constraint::Length(COLUMNS[*column].1));
     let sensors = state.sensors.iter().enumerate();
-    let rows = sensors.map(|(number, latest)| sensor(number, latest, now_s));
-    Table::new(rows, widths)
-        .header(Row::new(heads).dim())
+    let rows = sensors.map(|(number, latest)| sensor(number, latest, now_s, &columns));
+    Table::new(rows, widths.collect::<Vec<_>>())
+        .header(Row::new(heads.collect::<Vec<_>>()).dim())
         .block(Block::bordered().title(" sensors "))
 }
 
-fn sensor(number: usize, sensor: &SensorState, now_s: f64) -> Row<'static> {
+fn sensor(number: usize, sensor: &SensorState, now_s: f64, columns: &[usize]) -> Row<'static> {
     let force = |newtons: f64| match sensor.validity {
         Validity::Missing => "-".to_owned(),
         _ => format!("{newtons:.2}"),
@@ -123,7 +153,8 @@ fn sensor(number: usize, sensor: &SensorState, now_s: f64) -> Row<'static> {
         (temperature, Style::new()),
         (age, Style::new()),
     ];
-    Row::new(cells.map(|(text, style)| {
+    Row::new(columns.iter().map(|column| {
+        let (text, style) = cells[*column].clone();
         Cell::from(Line::from(Span::styled(text, style)).alignment(Alignment::Right))
     }))
 }

@@ -140,3 +140,25 @@ fn plot_range_ends_at_a_round_number_above_all_values() {
         assert!((step_above(value) - end).abs() < 1e-9 * end, "{value}");
     }
 }
+
+/// A terminal beside an editor: forces, their errors and validity stay; what else fits stays too.
+#[test]
+fn a_narrow_terminal_shows_the_forces() {
+    let state = pressed();
+    let wide = drawn(110, 32, &state, 12.0);
+    for (width, heads) in [(70, ["Fx / N", "Fz / N", "lost"].as_slice()), (82, &["Fx / N", "age"])]
+    {
+        let page = drawn(width, 32, &state, 12.0);
+        for head in heads {
+            assert!(page.contains(head), "{width}: {head}\n{page}");
+        }
+        assert!(!page.contains("field / LSB") && wide.contains("field / LSB"));
+        let force = |page: &str| {
+            let row = page.lines().nth(5).unwrap_or_default();
+            let numbers = row.split_whitespace().filter_map(|word| word.parse().ok());
+            numbers.skip(1).take(4).collect::<Vec<f64>>()
+        };
+        assert_eq!(force(&page), force(&wide), "{page}");
+        assert_eq!(force(&page).len(), 4, "{page}");
+    }
+}
