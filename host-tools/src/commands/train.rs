@@ -170,6 +170,10 @@ pub fn run(args: &Args) -> Result<()> {
     }
     if !args.json {
         terminal::print(&match &args.output {
+            Some(path) if !evaluation.reduces_the_error() => format!(
+                "Written to {}. Do not use it on a gripper: the ideal model's error is lower.\n",
+                path.display(),
+            ),
             Some(path) => format!(
                 "Written to {path}.\nNext: cargo magpie replay \"{}\" \"{}\" --network \"{path}\"\n",
                 args.model.display(),

@@ -97,6 +97,20 @@ pub struct TrainingResult {
 }
 
 impl TrainingResult {
+    /// RMS error over all forces in newtons: of the networks, and of the ideal model on the same rows.
+    pub fn pooled_rms_n(&self) -> [f64; 2] {
+        let pooled = |of: fn(&ForceEvaluation) -> Moments| {
+            self.forces.iter().map(of).fold(Moments::default(), Moments::with).rms()
+        };
+        [pooled(|row| row.error), pooled(|row| row.ideal)]
+    }
+
+    /// Whether the networks are better than the ideal model.
+    pub fn reduces_the_error(&self) -> bool {
+        let [own, ideal] = self.pooled_rms_n();
+        own < ideal
+    }
+
     /// Evaluates the best weights on the held-out recording, and calibrates their standard deviations.
     ///
     /// # Errors

@@ -1,9 +1,8 @@
 //! Text and JSON of a training.
 
 use analysis::calibration::gaussian;
-use analysis::network_training::{ForceEvaluation, TrainingResult};
+use analysis::network_training::TrainingResult;
 use analysis::notes::Note;
-use analysis::statistics::Moments;
 use serde_json::{Value, json};
 
 use crate::text::calibration::{calibration_json, calibration_sentence};
@@ -53,12 +52,8 @@ pub fn format_report(evaluation: &TrainingResult) -> String {
 
 /// Comparison with the ideal model.
 fn verdict(evaluation: &TrainingResult) -> String {
-    let pooled = |of: fn(&ForceEvaluation) -> Moments| {
-        let sums = evaluation.forces.iter().map(of);
-        sums.fold(Moments::default(), Moments::with).rms()
-    };
-    let (own, ideal) = (pooled(|row| row.error), pooled(|row| row.ideal));
-    let conclusion = if own < ideal {
+    let [own, ideal] = evaluation.pooled_rms_n();
+    let conclusion = if evaluation.reduces_the_error() {
         "the networks reduce the error"
     } else {
         "the networks increase the error: train longer or on more data, or omit them"
