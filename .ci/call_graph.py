@@ -5,6 +5,7 @@ that the target of a call through a register is known where it is a constant on 
 function belongs to the flow of the function that jumps.
 """
 
+from collections import namedtuple
 from dataclasses import dataclass, field
 from heapq import heappop, heappush
 
@@ -19,14 +20,10 @@ COMPUTED = {*LISTS, "mov", "movt", "add", "sub", "adr", "ldr"}
 CLOBBERED = {*range(ARM_REG_R0, ARM_REG_R4), ARM_REG_R12, LR}
 WORD = 0xFFFF_FFFF
 # The stack pointer at a function's entry, apart from all words, and the most bytes below it: more are a loop.
-STACK, MOST = 1 << 40, 1 << 16
+STACK, MOST = 1 << 40 | 1 << 31, 1 << 16
 
-
-@dataclass
-class Call:
-    target: int | None  # None: unknown.
-    depth: int
-    is_tail: bool
+# The target is None where it is unknown.
+Call = namedtuple("Call", "target, depth, is_tail")
 
 
 @dataclass
@@ -174,10 +171,8 @@ class CallGraph:
             return value(operands[1])
         if name == "movt" and (low := value(operands[0])) is not None:
             return operands[1].imm << 16 | low & 0xFFFF
-        if name in ("add", "sub"):
-            return add(base(operands[-2].reg), value(operands[-1]), -1 if name == "sub" else 1)
-        if name == "adr":
-            return add(base(PC), value(operands[1]))
+        if name in ("add", "sub", "adr"):
+            return add(base(PC if name == "adr" else operands[-2].reg), value(operands[-1]), -1 if name == "sub" else 1)
         if name == "ldr" and not operands[1].mem.index:
             address = add(base(operands[1].mem.base), operands[1].mem.disp & WORD)
             return None if address is None else self.elf.read(address, 4, is_constant=True)
@@ -195,11 +190,5 @@ def join(old, new):
 
 
 def add(left, right, sign=1):
-    """Sum or difference as 32-bit numbers, or relative to the stack pointer."""
-    if left is None or right is None:
-        return None
-    if right > WORD and sign > 0:
-        left, right = right, left
-    if left > WORD:
-        return left + sign * ((right + 0x8000_0000 & WORD) - 0x8000_0000)
-    return left + sign * right & WORD
+    """Sum or difference as 32-bit numbers, on the stack if one of them is."""
+    return None if None in (left, right) else max(left, right) & ~WORD | left + sign * right & WORD

@@ -54,12 +54,9 @@ class Image:
         self.resolve(rules)
         self.panicking = self.panicking_functions()
         # What each function calls apart from panics. Tasks are entries of their own.
-        self.calls = networkx.DiGraph()
-        self.calls.add_nodes_from(elf.starts)
-        for start, edges in self.edges.items():
-            if start not in self.panicking or start in self.handler:
-                targets = {target for target, _, is_poll in edges if not is_poll}
-                self.calls.add_edges_from((start, target) for target in targets - self.panicking)
+        calls = {start: {target for target, _, is_poll in edges if not is_poll} for start, edges in self.edges.items()}
+        leaves = dict.fromkeys(self.panicking.difference(self.handler), set())
+        self.calls = networkx.DiGraph({start: targets - self.panicking for start, targets in (calls | leaves).items()})
 
     def matching(self, patterns):
         return {start for start, place in self.elf.places.items() if matches(patterns, place)}
@@ -130,34 +127,30 @@ class Image:
         if not sites:
             return []
         branches = {place: following for place, following in function.successors.items() if len(following) > 1}
-        straight = networkx.DiGraph(function.successors)
-        straight.remove_edges_from([(place, next_) for place, following in branches.items() for next_ in following])
+        # Without what follows a branch.
+        straight = networkx.DiGraph(function.successors | dict.fromkeys(branches, ()))
         found = []
         for site, kind in sites.items():
             before = {site} | networkx.ancestors(straight, site)
             deciding = {place for place, following in branches.items() if not before.isdisjoint(following)}
-            if site in self.elf.conditional:
-                deciding = {site}
-            found += [(kind, branch) for branch in deciding or {site}]
+            found += [(kind, branch) for branch in ({site} if site in self.elf.conditional else deciding or {site})]
         return found
 
     def stacks(self, targets_of_polls):
         """Function to the bytes of stack from it down, panics left out; `targets_of_polls` gives the tasks that a
         function polls."""
-        calls = networkx.DiGraph()
-        calls.add_nodes_from(self.edges.keys() - self.panicking)
-        for start in list(calls):
-            # The deepest call of each function last.
-            for target, depth, is_poll in sorted(self.edges[start], key=lambda edge: edge[1]):
-                if target in calls and (not is_poll or target in targets_of_polls(start)):
-                    calls.add_edge(start, target, depth=depth)
+        edges = {
+            start: [(target, depth) for target, depth, is_poll in self.edges[start]
+                    if target not in self.panicking and (not is_poll or target in targets_of_polls(start))]
+            for start in self.edges.keys() - self.panicking
+        }
+        calls = networkx.DiGraph({start: [target for target, _ in found] for start, found in edges.items()})
         if cycle := next(networkx.simple_cycles(calls), None):
             self.problems.append("recursion: " + " > ".join(self.elf.names[start] for start in cycle))
             return {}
         found = {}
         for start in reversed(list(networkx.topological_sort(calls))):
-            below = (depth + found[target] for _, target, depth in calls.out_edges(start, data="depth"))
-            found[start] = max(self.graph.functions[start].depth, *below, 0)
+            found[start] = max(self.graph.functions[start].depth, 0, *(depth + found[target] for target, depth in edges[start]))
         return found
 
 
