@@ -21,22 +21,18 @@ class Page:
 
     def __init__(self, browser, address, below, screen, scheme="light", script=True):
         width, height, scale = SCREENS[screen]
-        context = browser.new_context(
-            viewport={"width": width, "height": height},
-            device_scale_factor=scale,
-            color_scheme=scheme,
-            java_script_enabled=script,
-            has_touch=screen == "telephone",
+        self.page = browser.new_page(
+            viewport={"width": width, "height": height}, device_scale_factor=scale, color_scheme=scheme,
+            java_script_enabled=script, has_touch=screen == "telephone",
         )
-        self.below = below
         self.wrong = []
         # Lines of the browser's own about refused requests or scripts, which the check provokes.
         self.expected_errors = 0
-        self.page = context.new_page()
         self.page.set_default_timeout(SHOWN_MS)
         self.page.on("console", self.console_message)
         self.page.on("pageerror", lambda error: self.wrong.append(f"error: {error}"))
-        self.page.on("request", self.requested)
+        allowed = (below, "data:")
+        self.page.on("request", lambda one: self.check(one.url.startswith(allowed), f"fetched {one.url}"))
         self.page.goto(address)
 
     def console_message(self, message):
@@ -45,9 +41,6 @@ class Page:
             self.expected_errors -= 1
         else:
             self.wrong.append(f"console: {message.text}")
-
-    def requested(self, request):
-        self.check(request.url.startswith((self.below, "data:")), f"fetched {request.url}")
 
     def check(self, good, what):
         if not good:

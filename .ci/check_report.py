@@ -1,12 +1,13 @@
 #!/usr/bin/env python3
 """A report in a real browser: usage check_report.py PAGE FOLDER
 
-Wide and narrow, light and dark, with and without its script: nothing is fetched, nothing is written
-to the console, each section has a size and each figure draws something, the page does not scroll sideways, and its controls work.
-Leaves screenshots in a folder of the page's name in FOLDER.
+Wide and narrow, light and dark, with and without its script: nothing is fetched, nothing is written to the console, each
+section has a size, each figure draws something, the page does not scroll sideways, and its controls work. Leaves screenshots
+in a folder of the page's name in FOLDER.
 """
 
 import sys
+from itertools import product
 from pathlib import Path
 
 from browser import SCREENS, Page, chromium
@@ -21,27 +22,26 @@ LETTERS = 8.5
 class Report(Page):
     def __init__(self, browser, path, *options):
         super().__init__(browser, path.as_uri(), path.as_uri(), *options)
+        self.plot = self.page.locator("#plots svg").first
 
     def drawn(self):
-        """Waits until what was asked for is drawn."""
+        """The page after what was asked for is drawn."""
         self.page.evaluate("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+        return self.page
 
     def window(self):
-        """Seconds that the overlay shows, from and to."""
-        self.drawn()
-        words = self.page.inner_text("#window").split()
-        return float(words[0]), float(words[2])
-
-    def seconds(self):
-        start, end = self.window()
-        return end - start
-
-    def plot(self):
-        return self.page.locator("#plots svg").first
+        """Seconds that the overlay shows: from, to, and between."""
+        start, _, end, *_ = self.drawn().inner_text("#window").split()
+        return float(start), float(end), float(end) - float(start)
 
     def curve(self):
-        self.drawn()
-        return self.plot().locator("path.curve").first.get_attribute("d")
+        return self.drawn().get_attribute("#plots svg path.curve >> nth=0", "d")
+
+    def place(self):
+        """Gives places in the plot, by their share of its width."""
+        self.plot.scroll_into_view_if_needed()
+        box = self.plot.bounding_box()
+        return lambda share: (box["x"] + share * box["width"], box["y"] + 60)
 
 
 def sections(report):
@@ -79,63 +79,51 @@ def zooms(report):
     page, whole, before = report.page, report.window(), report.curve()
     page.click("[data-zoom=in]")
     inner = report.window()
-    report.check(inner[1] - inner[0] < 0.8 * (whole[1] - whole[0]), f"the button zooms {whole} to {inner}")
+    report.check(inner[2] < 0.8 * whole[2], f"the button zooms {whole} to {inner}")
     report.check(report.curve() != before, "the curve stays as it was")
-    labels = [float(text.replace("\u2212", "-")) for text in report.plot().locator("text.time").all_text_contents()]
+    labels = [float(text.replace("\u2212", "-")) for text in report.plot.locator("text.time").all_text_contents()]
     inside = all(inner[0] - 0.01 <= label <= inner[1] + 0.01 for label in labels)
     report.check(len(labels) >= 2 and inside, f"time labels {labels} in {inner}")
     page.focus("#plots")
     page.keyboard.press("ArrowRight")
     report.check(report.window()[0] > inner[0], "the arrow does not move it")
     page.keyboard.press("+")
-    report.check(report.seconds() < inner[1] - inner[0], "plus does not zoom")
+    report.check(report.window()[2] < inner[2], "plus does not zoom")
     page.keyboard.press("0")
     report.check(report.window() == whole, "0 does not show all")
-
-    report.plot().scroll_into_view_if_needed()
-    box = report.plot().bounding_box()
-
-    def move(share, steps=1):
-        page.mouse.move(box["x"] + share * box["width"], box["y"] + 60, steps=steps)
+    place = report.place()
 
     def drag(start, end):
-        move(start)
+        page.mouse.move(*place(start))
         page.mouse.down()
-        move(end, steps=4)
+        page.mouse.move(*place(end), steps=4)
         page.mouse.up()
 
-    move(0.5)
+    page.mouse.move(*place(0.5))
     report.check(" s: measured " in page.text_content("#value"), "the curve under the mouse is not read")
     drag(0.5, 0.7)
     chosen = report.window()
-    share = (chosen[1] - chosen[0]) / (whole[1] - whole[0])
-    report.check(0.15 < share < 0.35, f"dragging over a fifth shows {share:.2f} of it")
+    report.check(0.15 < chosen[2] / whole[2] < 0.35, f"dragging over a fifth of {whole} shows {chosen}")
     drag(0.7, 0.5)
     moved = report.window()
     report.check(moved[0] > chosen[0], f"dragging moves {chosen} to {moved}")
     page.mouse.wheel(0, -200)
-    report.check(report.seconds() < moved[1] - moved[0], "the wheel does not zoom")
+    report.check(report.window()[2] < moved[2], "the wheel does not zoom")
     page.click("[data-zoom=all]")
     report.check(report.window() == whole, "Show all does not")
 
 
 def pinches(report):
     """Two fingers, through the browser's own touch input."""
-    page, whole = report.page, report.seconds()
-    report.plot().scroll_into_view_if_needed()
-    box = report.plot().bounding_box()
-    devtools = page.context.new_cdp_session(page)
-
-    def touch(kind, *places):
-        points = [{"x": box["x"] + x * box["width"], "y": box["y"] + 60, "id": i} for i, x in enumerate(places)]
+    place, whole, devtools = report.place(), report.window(), report.page.context.new_cdp_session(report.page)
+    for spread in (0, 0.02, 0.05, 0.1, 0.15, None):
+        shares = () if spread is None else (0.5 - spread, 0.6 + spread)
+        kind = "touchMove" if spread else "touchEnd" if spread is None else "touchStart"
+        points = [dict(zip("xy", place(share)), id=finger) for finger, share in enumerate(shares)]
         devtools.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
-
-    touch("touchStart", 0.5, 0.6)
-    for spread in (0.02, 0.05, 0.1, 0.15):
-        touch("touchMove", 0.5 - spread, 0.6 + spread)
-    touch("touchEnd")
-    report.check(report.seconds() < 0.6 * whole, f"pinching shows {report.seconds()} of {whole} s")
-    page.click("[data-zoom=all]")
+    inner = report.window()
+    report.check(inner[2] < 0.6 * whole[2], f"pinching {whole} shows {inner}")
+    report.page.click("[data-zoom=all]")
 
 
 def switches(report):
@@ -160,8 +148,8 @@ def switches(report):
         button.click()
         stretch = button.evaluate("button => ({...button.dataset})")
         start, end, window = float(stretch["from"]), float(stretch["to"]), report.window()
-        report.check(window[0] <= start and window[1] >= end, f"the worst stretch {start} {end} is not in {window}")
-        report.check(report.seconds() < 3 * max(end - start, 0.5), "the worst stretch is not zoomed")
+        is_shown = window[0] <= start and window[1] >= end and window[2] < 3 * max(end - start, 0.5)
+        report.check(is_shown, f"the worst stretch {start} {end} is not zoomed to: {window}")
         for name in ("recording", "sensor"):
             report.check(page.input_value(f"#{name}") == stretch[name], f"another {name}")
 
@@ -187,21 +175,16 @@ def check(browser, path, folder, screen, scheme, script):
     # One write for each line: two pages are checked at a time.
     for wrong in [*dict.fromkeys(report.wrong), "FAILED" if report.wrong else "good"]:
         print(f"{path.stem}, {name}: {wrong}\n", end="", flush=True)
-    page.context.close()
+    page.close()
     return not report.wrong
 
 
-def main(page, folder):
-    path, folder = Path(page).resolve(), Path(folder) / Path(page).stem
-    folder.mkdir(parents=True, exist_ok=True)
-    cases = [(screen, scheme, True) for screen in SCREENS for scheme in ("light", "dark")]
-    cases += [(screen, "light", False) for screen in SCREENS]
-    with chromium() as browser:
-        # The first page of a browser waits for the browser to start, on a busy machine for longer than a page may.
-        Report(browser, path, "laptop").page.context.close()
-        good = [check(browser, path, folder, *case) for case in cases]
-    sys.exit(not all(good))
-
-
-if __name__ == "__main__":
-    main(*sys.argv[1:])
+path = Path(sys.argv[1]).resolve()
+folder = Path(sys.argv[2]) / path.stem
+folder.mkdir(parents=True, exist_ok=True)
+with chromium() as browser:
+    # The first page of a browser waits for the browser to start, on a busy machine for longer than a page may.
+    Report(browser, path, "laptop").page.close()
+    cases = product(SCREENS, (("light", True), ("dark", True), ("light", False)))
+    good = [check(browser, path, folder, screen, *options) for screen, options in cases]
+sys.exit(not all(good))

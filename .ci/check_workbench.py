@@ -11,12 +11,13 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from itertools import product
 from pathlib import Path
 
 from browser import SHOWN_MS, Page, chromium
 from playwright.sync_api import expect
 
-DATA = Path("tests/data").resolve()
+MAGPIE, PICTURES = sys.argv[1], Path(sys.argv[2])
 # Screen and colours of each run.
 RUNS = {"laptop": "light", "telephone": "dark"}
 RIPPLE = "own: dz_um = a*sin(motor_angle_rad) + b*cos(motor_angle_rad)"
@@ -31,18 +32,18 @@ IS_SHOWN = """expected => {
     const effects = [...document.querySelectorAll('#present li[data-effect]')].map(one => one.dataset.effect);
     return document.querySelector('#view').ariaBusy === 'false' && effects.join() === expected;
 }"""
+HAS_TEXT = "([selector, text]) => document.querySelector(selector).innerText.includes(text)"
 
 
 @contextlib.contextmanager
-def server(magpie, campaign, *options):
+def server(campaign, *options):
     """Folder and address of `magpie workbench` in a folder of its own."""
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        shutil.copytree(DATA / campaign, folder / "campaign")
-        command = [magpie, "workbench", "campaign", "--json", *options]
-        with subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, text=True) as process:
+        shutil.copytree(Path("tests/data") / campaign, f"{name}/campaign")
+        command = [MAGPIE, "workbench", "campaign", "--json", *options]
+        with subprocess.Popen(command, cwd=name, stdout=subprocess.PIPE, text=True) as process:
             try:
-                yield folder, json.loads(process.stdout.readline())["url"]
+                yield Path(name), json.loads(process.stdout.readline())["url"]
             finally:
                 process.kill()
 
@@ -57,13 +58,16 @@ class Tab(Page):
 
     def wait_for_text(self, selector, text):
         # In each frame: some texts are shown for a moment.
-        has_text = "([selector, text]) => document.querySelector(selector).innerText.includes(text)"
-        self.page.wait_for_function(has_text, arg=[selector, text])
+        self.page.wait_for_function(HAS_TEXT, arg=[selector, text])
+
+    def picture(self, name):
+        self.check_width()
+        self.page.screenshot(path=PICTURES / f"{name}.png")
 
 
-def effects(browser, magpie, pictures, screen):
+def effects(browser, screen):
     both = ["magnet_temperature", "hysteresis"]
-    with server(magpie, "friction") as (folder, url):
+    with server("friction") as (folder, url):
         tab = Tab(browser, url, screen)
         page = tab.page
         tab.check_width()
@@ -78,8 +82,7 @@ def effects(browser, magpie, pictures, screen):
         tab.wait_for_model(*both)
         tab.check("B: base" in page.inner_text("#view"), "the base is not shown next to it")
         tab.check(page.locator("#plots svg path.curve").count() > 4, "no curves over time")
-        tab.check_width()
-        page.screenshot(path=pictures / f"{screen}.png")
+        tab.picture(screen)
         headline = page.inner_text("#headline")
         page.click("#undo")
         tab.wait_for_model("magnet_temperature")
@@ -94,7 +97,7 @@ def effects(browser, magpie, pictures, screen):
         # Any two models side by side.
         page.select_option("#baseline", label="magnet_temperature")
         tab.wait_for_text("#view", "A: magnet_temperature")
-        writes(tab, folder, magpie)
+        writes(tab, folder)
 
         # A page that is loaded again shows the same model, with its history; a second tab has models of its own.
         page.reload()
@@ -142,7 +145,7 @@ def explores(tab):
     tab.check(page.evaluate(FOREIGN_SCRIPT) is None, "a script without the number of the page runs")
 
 
-def writes(tab, folder, magpie):
+def writes(tab, folder):
     """What is written is what the shown commands write."""
     for kind, file in (("model", "model.toml"), ("tables", "tables.rs"), ("report", "report.html")):
         tab.page.select_option("#write-kind", kind)
@@ -153,13 +156,13 @@ def writes(tab, folder, magpie):
     commands = tab.page.inner_text("#commands").splitlines()
     tab.check(any("add base.toml" in line and "hysteresis" in line for line in commands), f"commands: {commands}")
     for line in commands:
-        command = line.replace("cargo magpie", magpie)
+        command = line.replace("cargo magpie", MAGPIE)
         done = subprocess.run(command, shell=True, cwd=folder, capture_output=True, text=True)
         tab.check(done.returncode == 0, f"{line}: {done.stderr}")
 
 
-def formula(browser, magpie, pictures, screen):
-    with server(magpie, "ripple") as (_, url):
+def formula(browser, screen):
+    with server("ripple") as (_, url):
         tab = Tab(browser, url, screen)
         page = tab.page
         tab.expected_errors = 1
@@ -179,13 +182,12 @@ def formula(browser, magpie, pictures, screen):
         page.fill("#formula", RIPPLE)
         page.press("#formula", "Enter")
         tab.wait_for_model("own")
-        tab.check_width()
-        page.screenshot(path=pictures / f"formula-{screen}.png")
+        tab.picture(f"formula-{screen}")
     return tab.wrong
 
 
-def live(browser, magpie, pictures, screen):
-    with server(magpie, "ripple", "--virtual") as (folder, url):
+def live(browser, screen):
+    with server("ripple", "--virtual") as (folder, url):
         tab = Tab(browser, url, screen)
         page = tab.page
         # Repeated grasps: the forces change.
@@ -194,8 +196,7 @@ def live(browser, magpie, pictures, screen):
         page.wait_for_function(f"() => Math.abs(parseFloat({force})) > 5")
         tab.wait_for_text("#live-state", "1000 ticks per second")
         tab.check("no faults" in page.inner_text("#live-state"), page.inner_text("#live-state"))
-        tab.check_width()
-        page.screenshot(path=pictures / f"live-{screen}.png")
+        tab.picture(f"live-{screen}")
         # A recording by `magpie record`, ended by a click.
         page.fill("#record-output", "recorded/1")
         page.click("#record-form button[type=submit]")
@@ -203,9 +204,8 @@ def live(browser, magpie, pictures, screen):
         # The header is written before the first row; a busy machine takes seconds to start the program.
         table = folder / "recorded/1/hall.csv"
         for _ in range(150):
-            if table.exists():
-                break
-            page.wait_for_timeout(200)
+            if not table.exists():
+                page.wait_for_timeout(200)
         page.wait_for_timeout(2500)
         page.click("#record-end")
         tab.wait_for_text("#record-lines", "has ended")
@@ -222,19 +222,14 @@ def live(browser, magpie, pictures, screen):
     return tab.wrong
 
 
-def main(magpie, folder):
-    pictures, good = Path(folder), True
-    pictures.mkdir(parents=True, exist_ok=True)
-    with chromium() as browser:
-        for check in (effects, formula, live):
-            for screen in RUNS:
-                try:
-                    wrong = check(browser, magpie, pictures, screen)
-                except Exception as error:  # The other checks still say something.
-                    wrong = [str(error)]
-                print(f"workbench, {check.__name__}, {screen}: {'; '.join(wrong) or 'good'}", flush=True)
-                good &= not wrong
-    sys.exit(not good)
-
-
-main(*sys.argv[1:])
+good = True
+PICTURES.mkdir(parents=True, exist_ok=True)
+with chromium() as browser:
+    for check, screen in product((effects, formula, live), RUNS):
+        try:
+            wrong = check(browser, screen)
+        except Exception as error:  # The other checks still say something.
+            wrong = [str(error)]
+        print(f"workbench, {check.__name__}, {screen}: {'; '.join(wrong) or 'good'}", flush=True)
+        good &= not wrong
+sys.exit(not good)
