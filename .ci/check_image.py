@@ -10,10 +10,7 @@
 - The kernels and the motor's interrupts are in the memory next to the core; the kernels' code, with the tables
   of the activations, and their stack stay within bounds.
 
-`check_image.py --kernels ELF` looks at the kernels alone, wherever they are.
-
-`.ci/python` runs it with the packages that it needs; c++filt and addr2line for arm-none-eabi are in Debian's
-binutils-arm-none-eabi.
+`check_image.py --kernels ELF` looks at the kernels alone, wherever they are. `.ci/python` runs it with the packages that it needs.
 """
 
 import gc
@@ -60,9 +57,8 @@ def check_start(elf):
     is_placed = section is not None and section.address == FLASH.start and section.size >= 8
     require(elf, is_placed, f"no vector table at {FLASH.start:#010x}: the linker's arguments were lost")
     stack, reset = (elf.read(section.address + offset, 4) for offset in (0, 4))
-    makes_sense = stack == STACK.stop and reset in FLASH and reset % 2
-    require(elf, makes_sense, f"vectors make no sense: stack {stack:#x}, reset {reset:#x}")
     print(f"vector table at {section.address:#010x}: stack {stack:#010x}, reset {reset:#010x}")
+    require(elf, stack == STACK.stop and reset in FLASH and reset % 2, "vectors make no sense")
     places = elf.addresses
     for handler, default in (("HardFault", "HardFault_"), ("NonMaskableInt", "DefaultHandler_")):
         is_own = places.get(handler) not in (None, places.get(default))
@@ -72,7 +68,8 @@ def check_start(elf):
     require(elf, is_kept, f"{RECORD} is not in .uninit: a reset would clear it")
 
 
-def check_kernels(elf, graph):
+def check_kernels(elf, graph=None):
+    graph = graph or CallGraph(elf)
     section = elf.sections.get(".ccm")
     is_copied = section is not None and section.size and section.load != section.address
     require(elf, is_copied, "no kernels in .ccm: the linker script was lost")
@@ -101,43 +98,35 @@ def check_entries(image):
     return found | {f"task {task}": start for task, start in tasks.items()}, handlers, tasks
 
 
-def applies(rule, panic):
-    return matches(rule["patterns"], panic.text) and panic.entries <= set(rule.get("entries", panic.entries))
-
-
 def check_panics(image, places, rules):
     """Returns the functions of the models and the motor's interrupts."""
     elf = image.elf
     panics, reached = find_panics(image, places)
     unused, refused = list(rules), {}
     for panic in panics:
-        rule = next((rule for rule in rules if applies(rule, panic)), None)
-        if rule is None:
+        for rule in rules:
+            if matches(rule["patterns"], panic.text) and panic.entries <= set(rule.get("entries", panic.entries)):
+                unused = [other for other in unused if other is not rule]
+                break
+        else:
             refused.setdefault(panic.text, panic)
-        elif rule in unused:
-            unused.remove(rule)
-    for panic in refused.values():
-        print(f"at {panic.site:#010x}, line {panic.frames[0].line}, {panic.text}")
-        print("    path: " + " > ".join(path(image, places, panic)))
     problems = sorted(set(image.problems)) + [f"no panic is {rule['patterns']}: remove the rule" for rule in unused]
     for start in reached:
         problems += [f"{elf.names[start]}: {problem}" for problem in sorted(image.graph.functions[start].problems)]
-    for problem in problems:
-        print(problem)
+    for panic in refused.values():
+        print(f"at {panic.site:#010x}, line {panic.frames[0].line}, {panic.text}")
+        print("    path: " + " > ".join(path(image, places, panic)))
     counts = f"{len(refused)} panics or traps are reachable, and {len(problems)} other problems"
-    require(elf, not refused and not problems, counts)
+    require(elf, not refused and not problems, "\n".join([counts, *problems]))
     kernels = {}
     for entry in (ENTRY, DETECTOR, NETWORKS, *DRIVE):
         found = {start: name for start, name in elf.names.items() if name.startswith(entry)}
         require(elf, found or entry == NETWORKS, f"{entry} is not in the image")
         kernels |= found
     for start, name in kernels.items():
-        is_free = not any(image.panics(function) for function in image.reach(start))
-        require(elf, is_free, f"a panic is reachable from {name}")
-    print(
-        f"{len(places)} entries reach {len(reached)} functions, {image.indirect} calls through pointers and {len(panics)} "
-        f"branches to a panic, all of which {len(rules)} rules exclude; none from the models and the motor's interrupts"
-    )
+        require(elf, not any(map(image.panics, image.reach(start))), f"a panic is reachable from {name}")
+    print(f"{len(places)} entries reach {len(reached)} functions, {image.indirect} calls through pointers and {len(panics)} "
+          f"branches to a panic, all of which {len(rules)} rules exclude; none from the models and the motor's interrupts")
     return kernels
 
 
@@ -150,14 +139,10 @@ def check_stack(image, handlers, tasks, reset, kernels, profile):
     levels_of |= dict.fromkeys(image.matching([entries.THREAD_EXECUTOR]), entries.THREAD)
     stack = image.stacks(lambda start: exited | executors.get(levels_of.get(start), image.polls))
     require(elf, not image.problems, "; ".join(image.problems))
-    levels = {}
-    for handler in handlers:
-        if handler.priority >= 0:
-            levels.setdefault(handler.priority, []).append((stack[handler.address], handler.name))
     total = stack[reset]
     print(f"stack: {total} bytes in thread mode", end="")
-    for priority, found in sorted(levels.items(), reverse=True):
-        deepest, name = max(found)
+    for priority in sorted({handler.priority for handler in handlers if handler.priority >= 0}, reverse=True):
+        deepest, name = max((stack[one.address], one.name) for one in handlers if one.priority == priority)
         print(f", {deepest} at priority {priority} ({name})", end="")
         total += deepest + EXCEPTION_FRAME
     fatal = {handler.name: stack[handler.address] for handler in handlers if handler.priority < 0}
@@ -168,11 +153,9 @@ def check_stack(image, handlers, tasks, reset, kernels, profile):
         print(f"{used} bytes of stack measured")
         require(elf, used <= total, "the measured stack is above the bound")
     require(elf, total <= len(STACK), "the stack is too short")
-    in_fault = fatal["HardFault"]
-    require(elf, in_fault <= entries.handler_stack(), f"the fault handler takes {in_fault} bytes of stack")
-    for start, name in kernels.items():
-        is_short = stack[start] <= STACK_LIMIT
-        require(elf, is_short, f"{stack[start]} bytes of stack from {name} down, more than {STACK_LIMIT}")
+    limits = [("HardFault", fatal["HardFault"], entries.handler_stack())]
+    for name, used, limit in limits + [(name, stack[start], STACK_LIMIT) for start, name in kernels.items()]:
+        require(elf, used <= limit, f"{used} bytes of stack from {name} down, more than {limit}")
 
 
 def main(path_, profile=None):
@@ -188,17 +171,14 @@ def main(path_, profile=None):
     sections = elf.sections.values()
     flash = sum(len(section.contents) for section in sections if section.load in FLASH)
     ram, ccm = (sum(section.size for section in sections if section.address in memory) for memory in (RAM, CCM))
-    print(
-        f"flash {flash} of {len(FLASH)} bytes, RAM {ram} of {len(RAM)} bytes and {len(STACK)} of stack, "
-        f"{ccm} of {len(CCM)} bytes next to the core"
-    )
+    print(f"flash {flash} of {len(FLASH)} bytes, RAM {ram} of {len(RAM)} bytes and {len(STACK)} of stack, "
+          f"{ccm} of {len(CCM)} bytes next to the core")
 
 
 if __name__ == "__main__":
     # A quarter of the time, for nothing: what is built here stays until the end.
     gc.disable()
     if sys.argv[1] == "--kernels":
-        kernels_elf = Elf(sys.argv[2])
-        check_kernels(kernels_elf, CallGraph(kernels_elf))
+        check_kernels(Elf(sys.argv[2]))
     else:
         main(*sys.argv[1:])

@@ -67,7 +67,7 @@ class Instruction:
     def __init__(self, decoded):
         self.decoded = decoded
         self.name = decoded.insn_name()  # Without width and condition: `ldr`, `b`.
-        self.size = decoded.size
+        self.size, self.operands = decoded.size, decoded.operands
         self.is_conditional = self.name in ("cbz", "cbnz") or (self.name == "b" and decoded.cc != ARM_CC_AL)
         self.writes = set(decoded.regs_access()[1])
         # Capstone leaves these out.
@@ -75,10 +75,6 @@ class Instruction:
             self.writes.add(ARM_REG_SP)
         if self.name.startswith(("stm", "vstm")) and decoded.writeback:
             self.writes.add(self.operands[0].reg)
-
-    @property
-    def operands(self):
-        return self.decoded.operands
 
 
 @functools.cache

@@ -24,20 +24,15 @@ Handler = namedtuple("Handler", "address, name, priority")
 
 def vectors(elf):
     """Each handler in the vector table once, at its most urgent priority, and the address of the reset handler."""
-    section = elf.sections[".vector_table"]
-    names = {}
-    for name, address in elf.addresses.items():
-        names.setdefault(address, set()).add(name)
-    urgent, found = priorities(), {}
-    reset = elf.read(section.address + 4 * RESET, 4) & ~1
-    for word in range(RESET + 1, section.size // 4):
-        address = elf.read(section.address + 4 * word, 4) & ~1
+    section, urgent, found = elf.sections[".vector_table"], priorities(), {}
+    _, reset, *words = (elf.read(section.address + 4 * word, 4) & ~1 for word in range(section.size // 4))
+    for word, address in enumerate(words, start=RESET + 1):
         if address in (0, reset):
             continue
-        all_names = names.get(address, {f"{address:#x}"})
-        priority = FIXED.get(word, min(urgent.get(name, DEFAULT_PRIORITY) for name in all_names))
+        names = {name for name, other in elf.addresses.items() if other == address} or {f"{address:#x}"}
+        priority = FIXED.get(word, min(urgent.get(name, DEFAULT_PRIORITY) for name in names))
         if address not in found or priority < found[address].priority:
-            name = min(all_names & urgent.keys() or {name for name in all_names if name.isupper()} or all_names)
+            name = min(names & urgent.keys() or {name for name in names if name.isupper()} or names)
             found[address] = Handler(address, name, priority)
     return list(found.values()), reset
 
@@ -72,14 +67,12 @@ def spawned():
 
 def tasks(elf, graph, polls):
     """Task to its poll function, by the task's body that is inlined or called there."""
-    calls = {start: graph.functions[start].calls for start in polls}
-    frames = elf.frames(site for found in calls.values() for site in found)
     tasks_of = {}
-    for start, found in calls.items():
-        texts = {frame.name for site in found for frame in frames[site]}
-        texts |= {elf.names[call.target] for call in found.values() if call.target in elf.names}
-        matches = (re.search(r"::__(\w+)_task::", without_types(text)) for text in texts)
-        names = {match[1] for match in matches if match}
+    for start in polls:
+        calls = graph.functions[start].calls
+        texts = {frame.name for frames in elf.frames(calls).values() for frame in frames}
+        texts |= {elf.names[call.target] for call in calls.values() if call.target in elf.names}
+        names = set(re.findall(r"::__(\w+)_task::", "\n".join(map(without_types, texts))))
         if len(names) != 1:
             raise ValueError(f"the poll function at {start:#x} belongs to the tasks {sorted(names)}")
         name = names.pop()
