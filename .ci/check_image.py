@@ -10,7 +10,7 @@
 - The kernels and the motor's interrupts are in the memory next to the core; the kernels' code, with the tables
   of the activations, and their stack stay within bounds.
 
-`check_image.py --kernels ELF` looks at the kernels alone, wherever they are. `.ci/python` runs it with the packages that it needs.
+`check_image.py --kernels ELF` looks at the kernels alone, wherever they are. `.ci/python` runs it with its packages.
 """
 
 import gc

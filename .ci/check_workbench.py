@@ -114,7 +114,7 @@ def effects(tab, folder, screen):
 
 
 def explores(tab):
-    """The scatter follows the stretch of the plots over time; findings can be added; what takes long is cancelled by a click."""
+    """The scatter follows the stretch of the plots over time; findings can be added; a click cancels what takes long."""
     page, label = tab.page, "document.querySelector('#scatter-plot svg').ariaLabel"
     page.wait_for_selector("#scatter-plot svg")
     page.select_option("#covariate", "fx_n")
