@@ -1,11 +1,13 @@
 //! Client that uploads calibrations to a gripper, reads what is on it, and writes its key.
 
+use std::cmp::Ordering;
 use std::collections::BTreeMap;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use firmware::motor::calibration::{CalibrationFailure, CalibrationKind};
 use firmware::protocol::authentication::Key;
+use firmware::protocol::firmware_version;
 use firmware::protocol::host_session::service;
 use firmware::protocol::messages::{CalibrationChunk, KeyPart, Message, ServiceReply, Version};
 use firmware::protocol::session::{UNLOADED, op, status};
@@ -150,7 +152,42 @@ pub fn upload(
     let mut code = source.digest().context("no session is open")?;
     code.update(bytes);
     let reply = request(source, op::FINISH_UPLOAD, code.finish(), SLOW_TIMEOUT)?;
+    // The code of the bytes is checked before: they arrived as they were sent.
+    if (reply.status, reply.detail) == (status::FAILED, UploadError::Corrupt as u32) {
+        let why = unknown_format(&version(source)?);
+        bail!("{}: the gripper refuses: {why}; its calibration is unchanged", source.name());
+    }
     done(source, reply)
+}
+
+/// Why the firmware of this version does not know the format of a calibration of this tool.
+fn unknown_format(board: &Version) -> String {
+    let own = firmware_version(0, 0);
+    let order = |version: &Version| {
+        let Version { firmware_major, firmware_minor, firmware_patch, protocol_minor, .. } =
+            *version;
+        [firmware_major, firmware_minor, firmware_patch, protocol_minor]
+    };
+    let firmware = format!("the firmware on the board (version {})", firmware_text(board));
+    match order(board).cmp(&order(&own)) {
+        Ordering::Less => format!(
+            "{firmware} is too old for this calibration: flash a newer one with `cargo flash-image`"
+        ),
+        Ordering::Equal => format!(
+            "{firmware} is of other sources than this tool, or for other sensors: flash that of this tool with `cargo flash-image`"
+        ),
+        Ordering::Greater => {
+            format!(
+                "{firmware} is newer than this tool (version {}): update it",
+                firmware_text(&own)
+            )
+        }
+    }
+}
+
+fn firmware_text(version: &Version) -> String {
+    let Version { firmware_major, firmware_minor, firmware_patch, .. } = version;
+    format!("{firmware_major}.{firmware_minor}.{firmware_patch}")
 }
 
 /// Reboots the gripper and waits until it runs tables with this identifier.
@@ -200,11 +237,10 @@ pub fn running(source: &mut dyn Source) -> Result<RunningCalibration> {
         "" => None,
         text => Some(toml::from_str(text).context("the description cannot be read")?),
     };
-    let Version { firmware_major, firmware_minor, firmware_patch, tables, .. } = version;
     Ok(RunningCalibration {
-        tables: format!("{tables:04x}"),
+        tables: format!("{:04x}", version.tables),
         slot: origin.checked_sub(1),
-        firmware: format!("{firmware_major}.{firmware_minor}.{firmware_patch}"),
+        firmware: firmware_text(&version),
         description,
     })
 }
@@ -409,10 +445,6 @@ fn done(source: &dyn Source, reply: ServiceReply) -> Result<u32> {
         (UploadError::NotBegun, "the upload was interrupted, perhaps by a reboot: try again"),
         (UploadError::Length, "it does not fit the flash"),
         (UploadError::Flash, "the flash cannot be erased or written: it may be worn out"),
-        (
-            UploadError::Corrupt,
-            "what arrived is not a calibration of the firmware's format: update firmware and tool",
-        ),
         (UploadError::Code, "another host has inserted data: find it, then try again"),
     ]
     .map(|(error, why)| (error as u32, why))
@@ -427,4 +459,28 @@ fn done(source: &dyn Source, reply: ServiceReply) -> Result<u32> {
         _ => reasons.get(&reply.detail).copied().unwrap_or("no reason known to this tool"),
     };
     bail!("{}: the gripper refuses: {why}; its calibration is unchanged", source.name())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_unknown_format_is_due_to_the_version_that_is_behind() {
+        let own = firmware_version(0, 0);
+        let (major, minor, messages) = (own.firmware_major, own.firmware_minor, own.protocol_minor);
+        let too_old = "too old for this calibration: flash a newer one with `cargo flash-image`";
+        for (firmware_major, firmware_minor, protocol_minor, expected) in [
+            (major, minor, messages, "of other sources than this tool"),
+            (major, minor - 1, messages + 1, too_old),
+            (major, minor, messages + 1, "newer than this tool"),
+            (major, minor + 1, messages, "newer than this tool"),
+            (major + 1, 0, 0, "newer than this tool"),
+        ] {
+            let board = Version { firmware_major, firmware_minor, protocol_minor, ..own };
+            let why = unknown_format(&board);
+            let version = format!("on the board (version {firmware_major}.{firmware_minor}.");
+            assert!(why.contains(expected) && why.contains(&version), "{why}");
+        }
+    }
 }
