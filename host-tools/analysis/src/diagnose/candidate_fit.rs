@@ -1,7 +1,7 @@
 //! One step of the forward selection: full fits of the significant candidates. The one with the largest reduction
 //! of the cross-validated error is added; candidates close to it are provisionally equivalent.
 
-use crate::diagnose::candidates::{LEVEL, ScreenedEffect};
+use crate::diagnose::candidates::{LEVEL, REPLACES, ScreenedEffect};
 use crate::diagnose::fitted_model::{DISTINGUISHABLE, FittedModel, MIN_GAIN, MIN_KEPT};
 use crate::diagnose::selection::{AcceptedStep, ImplausibleFit, SMALL, Selection};
 use anyhow::Result;
@@ -248,11 +248,11 @@ impl<'a> CandidateFit<'a> {
         let best = ranked.remove(winner(&ranked, selection)?);
         let is_near = |other: &FittedCandidate| {
             let near = equivalent_gain(best.screened, other.screened, selection);
-            let can_replace = other.screened.can_replace(best.screened)
-                || best.screened.can_replace(other.screened);
+            let is_alike = can_replace(other.screened, best.screened)
+                || can_replace(best.screened, other.screened);
             let is_equal =
                 other.stage.mean_square() <= (1.0 + DISTINGUISHABLE) * best.stage.mean_square();
-            other.gain >= near * best.gain || (can_replace && is_equal)
+            other.gain >= near * best.gain || (is_alike && is_equal)
         };
         let (tied, shadows) = ranked.into_iter().partition::<Vec<_>, _>(is_near);
         let plain = |list: Vec<FittedCandidate>| -> Vec<EffectTerm> {
@@ -343,7 +343,7 @@ fn candidates_to_fit(screened: &[ScreenedEffect], excess: f64) -> Vec<&ScreenedE
     // With more coefficients, an effect that can do the same may not be significant by itself.
     if let Some(best) = fitted.iter().copied().find(|s| !within(s)) {
         let is_new = |s: &&ScreenedEffect| !fitted.iter().any(|own| std::ptr::eq(*own, *s));
-        let others = screened.iter().filter(|s| !within(s) && s.can_replace(best));
+        let others = screened.iter().filter(|s| !within(s) && can_replace(s, best));
         let others: Vec<&ScreenedEffect> = others.filter(is_new).collect();
         fitted.extend(others);
     }
@@ -355,4 +355,9 @@ fn candidates_to_fit(screened: &[ScreenedEffect], excess: f64) -> Vec<&ScreenedE
         fitted.truncate(MAX_UNDETERMINED);
     }
     fitted
+}
+
+/// Whether an effect reproduces nearly everything that `other` does to the fields.
+fn can_replace(effect: &ScreenedEffect, other: &ScreenedEffect) -> bool {
+    effect.evidence.reproduced_share(&other.evidence) >= REPLACES
 }

@@ -237,22 +237,12 @@ impl ScreenedEffect {
         self.p_adjusted < LEVEL && self.lowers_error()
     }
 
-    /// Its p-value where it is significant in the linearised model; NaN where full fits accept it all the same, alone or in a pair.
-    pub fn p_of_acceptance(&self) -> f64 {
-        if self.p_adjusted < LEVEL { self.p_adjusted } else { f64::NAN }
-    }
-
     /// Whether it explains the fitted rows, and the error decreases in every fold. An event may be within one block of time, which
     /// explains as much with another sign.
     pub fn lowers_error(&self) -> bool {
         (self.p_explained < LEVEL || self.candidate.is_event())
             && self.evidence.wins() == self.evidence.folds.len()
             && self.evidence.gain() > MIN_GAIN
-    }
-
-    /// Whether this effect reproduces nearly everything that `other` does to the fields.
-    pub fn can_replace(&self, other: &Self) -> bool {
-        self.evidence.reproduced_share(&other.evidence) >= REPLACES
     }
 }
 

@@ -92,14 +92,6 @@ impl Collinearity {
     }
 }
 
-/// Effects that delay the field or the reference by some milliseconds: they differ in the second order of a load's changes.
-const DELAYS: [&str; 3] = ["clock_skew", "viscous_lag", "reference_filter"];
-
-/// True for an effect that mainly delays.
-pub fn is_delay(effect: &EffectTerm) -> bool {
-    DELAYS.contains(&effect.name())
-}
-
 fn depends_on_load_history(effect: &EffectTerm) -> bool {
     signatures(effect).contains(&Signature::LoadHistory)
 }

@@ -15,13 +15,12 @@ use crate::data_quality::evidence::Evidence;
 use crate::data_quality::finding::Finding;
 use crate::diagnose::fitted_model::WorstAxis;
 use crate::diagnose::formulas::discovered::DiscoveredFormula;
-use crate::diagnose::formulas::simpler::SimplerFormula;
 use crate::diagnose::recording_differences;
 use crate::diagnose::recording_plan::RecordingProposal;
 use crate::diagnose::remaining_structure::RemainingStructure;
-use crate::diagnose::selection::{DroppedStep, Selection};
+use crate::diagnose::selection::DroppedStep;
 use crate::diagnose::shapes::EffectShape;
-use crate::diagnose::verdict::{Unexplained, Verdict, VerdictKind};
+use crate::diagnose::verdict::{Unexplained, Verdict};
 use crate::noise_floor::NoiseSummary;
 
 #[derive(Clone, Debug, Default)]
@@ -94,71 +93,6 @@ impl Diagnosis {
             }
             _ => false,
         })
-    }
-
-    /// Accepted effects are equivalent to formulas that explain as much.
-    pub(super) fn set_equivalent_formulas(&mut self, equivalent_formulas: Vec<DiscoveredFormula>) {
-        if equivalent_formulas.is_empty() {
-            return;
-        }
-        let causes: Vec<String> = equivalent_formulas.iter().map(|one| one.name.clone()).collect();
-        self.verdicts.iter_mut().filter(|one| one.is_accepted()).for_each(|one| one.tie(&causes));
-        self.equivalent_formulas = equivalent_formulas;
-    }
-
-    /// An accepted effect is equivalent to drifts of these quantities.
-    pub(super) fn set_equivalent_drifts(&mut self, effect: &EffectTerm, targets: &[&str]) {
-        let drifts: Vec<String> =
-            targets.iter().map(|target| format!("a drift of {target}")).collect();
-        self.set_tied(effect, &drifts);
-    }
-
-    /// An accepted effect is equivalent to a formula with fewer coefficients.
-    pub(super) fn set_simpler_formula(&mut self, simpler: SimplerFormula) {
-        self.set_tied(&simpler.effect, std::slice::from_ref(&simpler.formula.name));
-        self.equivalent_formulas.push(simpler.formula);
-    }
-
-    /// Whether an effect is present, or equivalent to one that is.
-    pub(super) fn has_accepted(&self, effect: &EffectTerm) -> bool {
-        self.verdicts.iter().any(|one| one.effect == effect.name() && one.is_accepted())
-    }
-
-    /// An accepted effect is equivalent to these causes.
-    pub(super) fn set_tied(&mut self, effect: &EffectTerm, causes: &[String]) {
-        if causes.is_empty() {
-            return;
-        }
-        for step in &mut self.staircase {
-            if step.added.iter().any(|name| name == effect.name()) {
-                step.added.extend(causes.iter().cloned());
-            }
-        }
-        let own = self.verdicts.iter_mut().filter(|one| one.effect == effect.name());
-        own.for_each(|one| one.tie(causes));
-    }
-
-    /// Sets the force error of each step, and from it the excess of each verdict.
-    pub(super) fn set_forces(&mut self, forces: &[Option<ForceError>], selection: &Selection) {
-        for (step, force) in self.staircase.iter_mut().zip(forces) {
-            step.force = *force;
-        }
-        let last = self.staircase.last().and_then(|last| last.force);
-        for verdict in &mut self.verdicts {
-            let of_step =
-                self.staircase.iter().find(|step| step.added.first() == Some(&verdict.effect));
-            let screened = || {
-                selection.last.iter().find(|screened| screened.candidate.name() == verdict.effect)
-            };
-            verdict.excess_n = match (of_step, verdict.kind) {
-                (Some(step), _) => step.force.map(|force| force.excess_n()),
-                (None, VerdictKind::Tied | VerdictKind::Shadow) => None,
-                (None, _) => last.zip(screened()).map(|(force, screened)| {
-                    force.excess_less(screened.evidence.force_reduction_n2())
-                }),
-            };
-        }
-        self.sort_verdicts();
     }
 
     /// Sorts the verdicts by their kind, then by the force error that they leave, then by the error of the field.

@@ -17,10 +17,10 @@ use model_export::model_file::{EffectModel, ModelFile, Provenance};
 use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
 
-use crate::compare::EffectOrigin;
 use crate::compare::checked_campaign::CheckedCampaign;
 use crate::compare::force_errors::held_out_forces;
 use crate::compare::pipeline::ModelRefit;
+use crate::compare::{EffectOrigin, ForceError};
 use crate::data_quality::evidence::Evidence;
 use crate::diagnose::candidates::candidates;
 use crate::diagnose::conclude::conclude;
@@ -28,7 +28,8 @@ use crate::diagnose::diagnosis::{ConfoundedOffsets, Diagnosis};
 use crate::diagnose::drifts::equivalent_drifts;
 use crate::diagnose::fitted_model::{DISTINGUISHABLE, FittedModel};
 use crate::diagnose::formulas::discover::{discover, equivalent_formulas};
-use crate::diagnose::formulas::simpler::simpler_formulas;
+use crate::diagnose::formulas::discovered::DiscoveredFormula;
+use crate::diagnose::formulas::simpler::{SimplerFormula, simpler_formulas};
 use crate::diagnose::forward_selection::forward_selection;
 use crate::diagnose::observer::Observer;
 use crate::diagnose::recording_differences::{self, Differences, Found};
@@ -38,6 +39,7 @@ use crate::diagnose::remaining_structure::RemainingStructure;
 use crate::diagnose::residuals::residuals_against;
 use crate::diagnose::selection::Selection;
 use crate::diagnose::shapes::shapes;
+use crate::diagnose::verdict::VerdictKind;
 use crate::model::Model;
 use crate::noise_floor::NoiseSummary;
 
@@ -217,6 +219,73 @@ pub fn diagnose(
         .filter(|fit| is_as_recorded && fit.split == own_split)
         .map(|fit| ModelRefit { setup: all, fit, forces });
     Ok((diagnosis, refit))
+}
+
+impl Diagnosis {
+    /// Accepted effects are equivalent to formulas that explain as much.
+    fn set_equivalent_formulas(&mut self, equivalent_formulas: Vec<DiscoveredFormula>) {
+        if equivalent_formulas.is_empty() {
+            return;
+        }
+        let causes: Vec<String> = equivalent_formulas.iter().map(|one| one.name.clone()).collect();
+        self.verdicts.iter_mut().filter(|one| one.is_accepted()).for_each(|one| one.tie(&causes));
+        self.equivalent_formulas = equivalent_formulas;
+    }
+
+    /// An accepted effect is equivalent to drifts of these quantities.
+    fn set_equivalent_drifts(&mut self, effect: &EffectTerm, targets: &[&str]) {
+        let drifts: Vec<String> =
+            targets.iter().map(|target| format!("a drift of {target}")).collect();
+        self.set_tied(effect, &drifts);
+    }
+
+    /// An accepted effect is equivalent to a formula with fewer coefficients.
+    fn set_simpler_formula(&mut self, simpler: SimplerFormula) {
+        self.set_tied(&simpler.effect, std::slice::from_ref(&simpler.formula.name));
+        self.equivalent_formulas.push(simpler.formula);
+    }
+
+    /// Whether an effect is present, or equivalent to one that is.
+    fn has_accepted(&self, effect: &EffectTerm) -> bool {
+        self.verdicts.iter().any(|one| one.effect == effect.name() && one.is_accepted())
+    }
+
+    /// An accepted effect is equivalent to these causes.
+    fn set_tied(&mut self, effect: &EffectTerm, causes: &[String]) {
+        if causes.is_empty() {
+            return;
+        }
+        for step in &mut self.staircase {
+            if step.added.iter().any(|name| name == effect.name()) {
+                step.added.extend(causes.iter().cloned());
+            }
+        }
+        let own = self.verdicts.iter_mut().filter(|one| one.effect == effect.name());
+        own.for_each(|one| one.tie(causes));
+    }
+
+    /// Sets the force error of each step, and from it the excess of each verdict.
+    fn set_forces(&mut self, forces: &[Option<ForceError>], selection: &Selection) {
+        for (step, force) in self.staircase.iter_mut().zip(forces) {
+            step.force = *force;
+        }
+        let last = self.staircase.last().and_then(|last| last.force);
+        for verdict in &mut self.verdicts {
+            let of_step =
+                self.staircase.iter().find(|step| step.added.first() == Some(&verdict.effect));
+            let screened = || {
+                selection.last.iter().find(|screened| screened.candidate.name() == verdict.effect)
+            };
+            verdict.excess_n = match (of_step, verdict.kind) {
+                (Some(step), _) => step.force.map(|force| force.excess_n()),
+                (None, VerdictKind::Tied | VerdictKind::Shadow) => None,
+                (None, _) => last.zip(screened()).map(|(force, screened)| {
+                    force.excess_less(screened.evidence.force_reduction_n2())
+                }),
+            };
+        }
+        self.sort_verdicts();
+    }
 }
 
 /// The recordings, and the rows by which effects are selected and to which the models are fitted.

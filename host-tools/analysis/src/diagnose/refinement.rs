@@ -7,7 +7,6 @@ use model_export::fit::FitOptions;
 use model_export::fit::campaign::FitSetup;
 use rayon::prelude::*;
 
-use crate::diagnose::confusable_effects::is_delay;
 use crate::diagnose::fitted_model::{DISTINGUISHABLE, FittedModel, MIN_KEPT, NEAR};
 use crate::diagnose::formulas::discovered::DiscoveredFormula;
 use crate::diagnose::observer::Observer;
@@ -100,6 +99,13 @@ fn reconsider_shadows(
         selection.steps[place].tied.push(chosen);
     }
     Ok(())
+}
+
+/// Effects that delay the field or the reference by some milliseconds: they differ in the second order of a load's changes.
+const DELAYS: [&str; 3] = ["clock_skew", "viscous_lag", "reference_filter"];
+
+fn is_delay(effect: &EffectTerm) -> bool {
+    DELAYS.contains(&effect.name())
 }
 
 /// Error of a delay's other form relative to that of the accepted one, up to which they are equivalent: a shift, a low pass and its

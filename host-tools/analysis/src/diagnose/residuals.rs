@@ -1,6 +1,5 @@
-//! Residuals of a fitted model, and the covariates that explain them.
+//! Residuals of a fitted model.
 
-use crate::compare::attribution::Attributor;
 use crate::compare::covariates::{Covariate, all_covariates};
 use crate::compare::pipeline::correlation_s;
 use crate::compare::residual_table::ResidualTable;
@@ -65,16 +64,4 @@ pub fn block_s(columns: &[ResidualTable]) -> f64 {
     });
     // Rows without a clock are one second apart, whatever their number.
     (3.0 * correlation_s(columns)).max(MIN_BLOCK_S).min(duration / MIN_BLOCKS)
-}
-
-/// Selected covariates of the residual with their shares.
-pub fn attributed_covariates(columns: &[ResidualTable], block_s: f64) -> Vec<(Covariate, f64)> {
-    let ranked = Attributor::new(columns, block_s).rank();
-    let Some(first) = columns.first() else {
-        return Vec::new();
-    };
-    let chosen = ranked.into_iter().filter(|found| found.chosen);
-    // An estimate of a share by held-out errors may exceed all of it.
-    let share = |share: f64| share.min(1.0);
-    chosen.map(|one| (first.covariates[one.covariate].of.clone(), share(one.share))).collect()
 }

@@ -1,12 +1,14 @@
 //! State of the forward selection: the fitted models and the accepted steps.
 
+use crate::compare::attribution::Attributor;
 use crate::compare::covariates::Covariate;
+use crate::compare::residual_table::ResidualTable;
 use crate::compare::{AT_FLOOR, ForceError};
-use crate::diagnose::candidates::{ScreenedEffect, screen};
+use crate::diagnose::candidates::{LEVEL, ScreenedEffect, screen};
 use crate::diagnose::confusable_effects::{Collinearity, Similarity};
 use crate::diagnose::fitted_model::{FittedModel, MIN_GAIN, MIN_KEPT};
 use crate::diagnose::formulas::discovered::DiscoveredFormula;
-use crate::diagnose::residuals::{attributed_covariates, block_s, residual_tables};
+use crate::diagnose::residuals::{block_s, residual_tables};
 use anyhow::Result;
 use model_export::effects::EffectTerm;
 use model_export::fit::FitOptions;
@@ -51,13 +53,14 @@ pub struct AcceptedStep {
 impl AcceptedStep {
     /// Of a candidate in `model` that `before` did not have; nothing is equivalent to it.
     pub fn new(screened: &ScreenedEffect, model: &FittedModel, before: &FittedModel) -> Self {
+        let is_significant_alone = screened.p_adjusted < LEVEL;
         Self {
             chosen: screened.candidate.clone(),
             tied: Vec::new(),
             shadows: Vec::new(),
             gain: model.gain(before),
             reduction: before.mean_square() - model.mean_square(),
-            p_adjusted: screened.p_of_acceptance(),
+            p_adjusted: if is_significant_alone { screened.p_adjusted } else { f64::NAN },
             inclusion: screened.inclusion,
             z_typical: screened.evidence.z_typical,
             is_of_pair: false,
@@ -337,4 +340,16 @@ impl Selection {
                 || self.similarity.are_similar(&step.chosen, &candidate.candidate)
         })
     }
+}
+
+/// Selected covariates of the residual with their shares.
+fn attributed_covariates(columns: &[ResidualTable], block_s: f64) -> Vec<(Covariate, f64)> {
+    let ranked = Attributor::new(columns, block_s).rank();
+    let Some(first) = columns.first() else {
+        return Vec::new();
+    };
+    let chosen = ranked.into_iter().filter(|found| found.chosen);
+    // An estimate of a share by held-out errors may exceed all of it.
+    let share = |share: f64| share.min(1.0);
+    chosen.map(|one| (first.covariates[one.covariate].of.clone(), share(one.share))).collect()
 }

@@ -12,7 +12,6 @@
 //! - [`harmonics`]: those of the rotor's turn in a residual.
 //! - [`dictionary`]: their products, and their values.
 //! - [`rows`]: a fitted model linearised, whitened and averaged.
-//! - [`naming`]: formulas that are an effect of the catalogue.
 //! - [`scan`]: scores and significance.
 //! - [`candidate`]: terms at points of the chain, as columns and as text.
 //! - [`search`]: the search from one model.
@@ -27,7 +26,6 @@ pub mod dictionary;
 pub mod discover;
 pub mod discovered;
 pub mod harmonics;
-pub mod naming;
 pub mod rows;
 pub mod scan;
 pub mod search;
