@@ -160,7 +160,7 @@ pub fn upload(
     done(source, reply)
 }
 
-/// Why the firmware of this version does not know the format of a calibration of this tool.
+/// Why the firmware of this version does not know the format, or a table, of a calibration of this tool.
 fn unknown_format(board: &Version) -> String {
     let own = firmware_version(0, 0);
     let order = |version: &Version| {
@@ -201,14 +201,16 @@ pub fn reboot_into(source: &mut SessionSource<'_>, tables: u16) -> Result<()> {
     while source.now() < rebooted + REBOOT {
         match version(source) {
             Ok(version) if version.tables == tables => return Ok(()),
-            Ok(version) => found = Some(version.tables),
+            Ok(version) => found = Some(version),
             Err(_) => {}
         }
     }
     match found {
-        Some(other) => bail!(
-            "{}: the gripper runs tables {other:04x} after its reboot instead of {tables:04x}; see `cargo magpie board`",
-            source.name()
+        Some(version) => bail!(
+            "{}: after its reboot the gripper runs tables {:04x} instead of {tables:04x}: {}",
+            source.name(),
+            version.tables,
+            unknown_format(&version)
         ),
         None => bail!("{}: the gripper does not answer after its reboot", source.name()),
     }
