@@ -107,7 +107,7 @@ fn remanence_and_bias_along_the_gap_are_not_identifiable() {
         let names: Vec<&str> = fit
             .unidentifiable
             .iter()
-            .flat_map(|held| held.shares.iter().map(|s| s.0.as_str()))
+            .flat_map(|held| held.shares.iter().map(|share| PARAMETERS[share.0].name))
             .collect();
         assert!(names.contains(&"bias_y") && names.contains(&"remanence"), "{names:?}");
     }

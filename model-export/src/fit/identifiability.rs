@@ -4,7 +4,6 @@ use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
 use crate::fit::FitOptions;
 use crate::fit::block_bootstrap::{self, Block, add_normal};
-use crate::fit::parameters::FreeParameter;
 
 /// A direction is free if its standard error is at most this, in prior widths.
 pub const MAX_UNCERTAINTY: f64 = 0.5;
@@ -15,8 +14,8 @@ const PRIOR: f64 = 0.1;
 /// A combination of parameters that the data do not determine, fixed at its start.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Unidentifiable {
-    /// Parameters and their weights in the combination, in prior widths, largest first.
-    pub shares: Vec<(String, f64)>,
+    /// Indices of parameters and their weights in the combination, in prior widths, largest first.
+    pub shares: Vec<(usize, f64)>,
     /// Standard error from the data alone, in prior widths; infinite where the field does not depend on it.
     pub uncertainty: f64,
 }
@@ -83,9 +82,8 @@ impl FreeDirections {
         }
     }
 
-    /// Free are the directions that the blocks of a fit determine well enough, apart from `frozen` parameters.
-    pub fn from_data(blocks: &[Block], parameters: &[FreeParameter], frozen: &[usize]) -> Self {
-        let count = parameters.len();
+    /// Free are the directions of `count` parameters that the blocks of a fit determine well enough, apart from `frozen` parameters.
+    pub fn from_data(blocks: &[Block], count: usize, frozen: &[usize]) -> Self {
         let open: Vec<usize> = (0..count).filter(|i| !frozen.contains(i)).collect();
         let noise =
             block_bootstrap::score_covariance(blocks).select_rows(&open).select_columns(&open);
@@ -102,8 +100,7 @@ impl FreeDirections {
             if uncertainty <= MAX_UNCERTAINTY {
                 free.push(lifted);
             } else {
-                unidentifiable
-                    .push(Unidentifiable { shares: shares(&lifted, parameters), uncertainty });
+                unidentifiable.push(Unidentifiable { shares: shares(&lifted), uncertainty });
                 unidentifiable_directions.push(lifted);
             }
         }
@@ -174,12 +171,8 @@ impl FreeDirections {
     }
 }
 
-fn shares(direction: &DVector<f64>, parameters: &[FreeParameter]) -> Vec<(String, f64)> {
-    let mut shares: Vec<_> = parameters
-        .iter()
-        .zip(direction.iter())
-        .map(|(index, &share)| (index.name.clone(), share))
-        .collect();
+fn shares(direction: &DVector<f64>) -> Vec<(usize, f64)> {
+    let mut shares: Vec<(usize, f64)> = direction.iter().copied().enumerate().collect();
     shares.sort_by(|a, b| b.1.abs().total_cmp(&a.1.abs()));
     // The sign is arbitrary: the largest weight is positive.
     let sign = shares.first().map_or(1.0, |first| first.1.signum());

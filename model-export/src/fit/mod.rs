@@ -27,7 +27,7 @@ pub mod campaign;
 pub mod cross_validation;
 pub mod effect_size;
 pub mod held_out;
-pub(crate) mod identifiability;
+pub mod identifiability;
 mod initial_guess;
 pub mod joint;
 mod linearisation;

@@ -143,7 +143,7 @@ fn fit_identifiable_from(
 ) -> Result<SensorSolution, FitError> {
     let inflation = noise_inflation(&blocks);
     let frozen: Vec<usize> = frozen.iter().copied().chain(problem.preset()).collect();
-    let space = FreeDirections::from_data(&blocks, &problem.parameters, &frozen);
+    let space = FreeDirections::from_data(&blocks, problem.parameters.len(), &frozen);
     if space.free.ncols() == 0 {
         return Err(FitError::NotConverged {
             sensor: problem.rows.sensor,

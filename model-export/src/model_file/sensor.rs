@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::effects::{EffectTerm, FinalState};
 use crate::fit::AxisScore;
+use crate::fit::identifiability::Unidentifiable;
 use crate::fit::joint::SensorFit;
 use crate::fit::polynomial::{Polynomial, PolynomialFit};
 use crate::fit::rows::{ForcePair, own_forces, pair};
@@ -91,9 +92,9 @@ pub struct FittedValue {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct UnidentifiableCombination {
-    /// Coefficients of the parameters in units of their tolerances.
+    /// Weights of the parameters in prior widths; those of an effect as `effect.parameter`.
     pub shares: BTreeMap<String, f64>,
-    /// Standard error from the data alone in units of tolerance.
+    /// Standard error from the data alone in prior widths.
     #[serde(rename = "known_within")]
     pub sigma_tolerances: f64,
 }
@@ -116,20 +117,13 @@ impl CorrelationTable {
         first: usize,
         recordings: usize,
     ) -> Option<Self> {
-        let mut effects: Vec<&EffectTerm> = effects.iter().collect();
-        effects.sort_by_key(|effect| effect.stage());
-        let of_effects = effects.into_iter().flat_map(|effect| {
-            let parameters = effect.parameters(recordings).into_iter();
-            parameters.map(move |parameter| format!("{}.{}", effect.name(), parameter.name))
-        });
-        let base = fit.parameters[..fit.base_count].iter().map(|parameter| parameter.name.clone());
         let is_estimated = |index: usize| {
             let parameter = &fit.parameters[index];
             let is_own = parameter.recording.is_none() && !parameter.is_state && !parameter.shared;
             is_own && parameter.preset_sigma.is_none() && fit.std_error(index) > 0.0
         };
-        let (indices, names): (Vec<usize>, Vec<String>) = base
-            .chain(of_effects)
+        let (indices, names): (Vec<usize>, Vec<String>) = full_names(fit, effects, recordings)
+            .into_iter()
             .enumerate()
             .filter(|(index, _)| *index >= first && is_estimated(*index))
             .unzip();
@@ -156,6 +150,18 @@ impl CorrelationTable {
         let (low, high) = (i.min(j), i.max(j));
         if low == high { 1.0 } else { self.rows[high - 1][low] }
     }
+}
+
+/// Names of all parameters of a fit; those of an effect as `effect.parameter`.
+fn full_names(fit: &SensorFit, effects: &[EffectTerm], recordings: usize) -> Vec<String> {
+    let mut effects: Vec<&EffectTerm> = effects.iter().collect();
+    effects.sort_by_key(|effect| effect.stage());
+    let of_effects = effects.into_iter().flat_map(|effect| {
+        let parameters = effect.parameters(recordings).into_iter();
+        parameters.map(move |parameter| format!("{}.{}", effect.name(), parameter.name))
+    });
+    let base = fit.parameters[..fit.base_count].iter().map(|parameter| parameter.name.clone());
+    base.chain(of_effects).collect()
 }
 
 /// Coefficients of a polynomial of the forces.
@@ -186,15 +192,12 @@ impl SensorModel {
             identifiable: fit.identifiable[i],
             prior_width: None,
         };
-        let combination =
-            |held: &crate::fit::identifiability::Unidentifiable| UnidentifiableCombination {
-                shares: held
-                    .shares
-                    .iter()
-                    .map(|(name, coefficient)| (name.clone(), digits(*coefficient)))
-                    .collect(),
-                sigma_tolerances: digits(held.uncertainty),
-            };
+        let names = full_names(fit, effects, recordings);
+        let share = |&(index, weight): &(usize, f64)| (names[index].clone(), digits(weight));
+        let combination = |held: &Unidentifiable| UnidentifiableCombination {
+            shares: held.shares.iter().map(share).collect(),
+            sigma_tolerances: digits(held.uncertainty),
+        };
         Self {
             number: fit.sensor,
             orientation: fit.orientation,
