@@ -7,6 +7,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use model_export::effects::{EffectTerm, ParameterKind};
+use model_export::fit::identifiability::MAX_UNCERTAINTY;
 use model_export::fit::parameters::{self, COUNT, Derivatives, PARAMETERS, tolerances};
 use model_export::model_file::{CorrelationTable, FittedValue, ModelFile, SensorModel};
 use model_export::physics::{ForwardModel, PhysicalState};
@@ -14,8 +15,6 @@ use model_export::recordings::columns::Axis;
 use nalgebra::{DMatrix, DVector};
 use serde::{Serialize, Serializer};
 
-/// Standard error in prior widths up to which a parameter or a combination is identified, as in the fit.
-pub const IDENTIFIED: f64 = 0.5;
 /// Variance inflation from which the residual, not the excitation, limits what is identified.
 const STRUCTURED: f64 = 2.0;
 /// Loads of a further recording along one axis, either sign.
@@ -292,7 +291,7 @@ fn unidentified(
         let (remedy, known_within_then) = match (effect, unmeasured, at_floor) {
             (Some(effect), ..) => (effect.remedy(), None),
             (_, Some(axis), _) => (Remedy::Force(*axis), None),
-            (.., Some(sigma)) if sigma <= IDENTIFIED => (Remedy::MissingEffect, Some(sigma)),
+            (.., Some(sigma)) if sigma <= MAX_UNCERTAINTY => (Remedy::MissingEffect, Some(sigma)),
             _ => match &further {
                 Some(further) => further.remedy(&held.shares),
                 None => (Remedy::Unknown, None),
@@ -393,7 +392,7 @@ impl FurtherRecording {
         let mut least = f64::INFINITY;
         for peak_n in [[peak, 0.0], [0.0, peak], [peak, peak]] {
             let known_within = self.known_within(&combination, peak_n);
-            if known_within <= IDENTIFIED {
+            if known_within <= MAX_UNCERTAINTY {
                 let after_effect = self.is_structured;
                 return (Remedy::Load { peak_n, after_effect }, Some(known_within));
             }
