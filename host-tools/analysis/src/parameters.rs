@@ -96,7 +96,7 @@ pub enum Remedy {
     Effect(&'static str, &'static str),
     /// One in which the columns of a formula vary more.
     Formula(String),
-    /// No load within the range of the design.
+    /// No recording within the range of the design.
     None,
     /// The model file has no variance inflation.
     Unknown,
@@ -125,11 +125,11 @@ impl fmt::Display for Remedy {
                 write!(f, "a recording in which the columns of the formula {name} vary more")
             }
             Self::None => f.write_str(
-                "no load within the range of the design, and the forces hardly depend on it: measure one of the parameters by other \
-                 means (gap: gauge; bias: reading without the magnet)",
+                "measure one of the parameters by other means (gap: gauge; bias: reading without the magnet); no load within the range \
+                 of the design does, and the forces hardly depend on it",
             ),
             Self::Unknown => {
-                f.write_str("unknown: the model file is of an earlier version; repeat the fit")
+                f.write_str("repeat the fit: the model file is of an earlier version")
             }
         }
     }
@@ -275,22 +275,27 @@ fn unidentified(
     effects: &[Effect],
     estimates: &[ParameterEstimate],
 ) -> Vec<Unidentified> {
-    let is_base = |name: &str| PARAMETERS.iter().any(|parameter| parameter.name == name);
-    let of_effect =
-        |name: &str| effects.iter().find(|effect| effect.names.iter().any(|(own, _)| own == name));
+    let of_effect = |name: &str| {
+        let is_of = |effect: &&Effect| {
+            name.strip_prefix(effect.file.name.as_str()).is_some_and(|rest| rest.starts_with('.'))
+        };
+        effects.iter().find(is_of)
+    };
     let further = FurtherRecording::of(model, sensor);
     let combinations = sensor.unidentifiable.iter().map(|held| {
-        let largest = held.shares.iter().max_by(|a, b| a.1.abs().total_cmp(&b.1.abs()));
-        let effect =
-            largest.filter(|(name, _)| !is_base(name)).and_then(|(name, _)| of_effect(name));
+        let mut shares: Vec<_> = held.shares.iter().collect();
+        shares.sort_by(|a, b| b.1.abs().total_cmp(&a.1.abs()));
+        let largest = shares.first().and_then(|(name, _)| of_effect(name));
+        // The base alone tells nothing of a combination with an effect.
+        let effect = shares.iter().find_map(|(name, _)| of_effect(name));
         // By data and prior, if the residual were white noise of the floor.
         let structured = sensor.noise_inflation.filter(|inflation| *inflation > STRUCTURED);
         let at_floor = structured
             .map(|inflation| 1.0 / (1.0 + inflation / held.sigma_tolerances.powi(2)).sqrt());
         let unmeasured = sensor.assumed_zero.first();
-        let (remedy, known_within_then) = match (effect, unmeasured, at_floor) {
-            (Some(effect), ..) => (effect.remedy(), None),
-            (_, Some(axis), _) => (Remedy::Force(*axis), None),
+        let (remedy, known_within_then) = match (largest, unmeasured, effect, at_floor) {
+            (None, Some(axis), ..) => (Remedy::Force(*axis), None),
+            (.., Some(effect), _) => (effect.remedy(), None),
             (.., Some(sigma)) if sigma <= MAX_UNCERTAINTY => (Remedy::MissingEffect, Some(sigma)),
             _ => match &further {
                 Some(further) => further.remedy(&held.shares),
@@ -303,15 +308,14 @@ fn unidentified(
     });
     let mut all: Vec<Unidentified> = combinations.collect();
     for one in estimates.iter().filter(|one| one.effect.is_some() && !one.identifiable) {
-        if all.iter().any(|known| known.shares.contains_key(&one.name)) {
+        if all.iter().any(|known| known.shares.contains_key(&one.full_name())) {
             continue;
         }
-        let effect = effects.iter().find(|effect| one.effect.as_ref() == Some(&effect.file.name));
         all.push(Unidentified {
             sensor: sensor.number,
             shares: BTreeMap::from([(one.full_name(), 1.0)]),
             known_within: None,
-            remedy: effect.map_or(Remedy::Unknown, Effect::remedy),
+            remedy: of_effect(&one.full_name()).map_or(Remedy::Unknown, Effect::remedy),
             known_within_then: None,
         });
     }

@@ -61,8 +61,9 @@ fn of_model(table: &ParameterTable) -> Markup {
 fn not_identified(table: &ParameterTable) -> Markup {
     let remedied = by_remedy(table);
     html! {
-        @if remedied.is_empty() { p { "These recordings identify all parameters." } }
-        @else {
+        @if remedied.is_empty() {
+            @if table.estimates.iter().all(|one| one.identifiable) { p { "These recordings identify all parameters." } }
+        } @else {
             p { (UNIDENTIFIED) }
             ul {
                 @for (remedy, sensors) in remedied {
