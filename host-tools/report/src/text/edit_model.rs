@@ -338,7 +338,6 @@ pub fn to_json(edit: &ModelEdit) -> Value {
         "verdict": verdict(edit),
         "notices": notes::texts(&edit.notes),
     });
-    let mut of_model = parameters::to_json(&ParameterTable::of(&edit.model));
-    object.as_object_mut().into_iter().for_each(|object| object.append(&mut of_model));
+    parameters::add_json(&mut object, &ParameterTable::of(&edit.model));
     object
 }

@@ -180,29 +180,20 @@ pub fn to_json(fit: &CampaignFit) -> Value {
             "held_out_rms_g": axis.rms_g, "floor_g": axis.floor_g, "span_g": axis.span_g,
         })
     });
-    let held = model.sensors.iter().flat_map(|sensor| {
-        sensor.unidentifiable.iter().map(|held| {
-            let mut object = json!(held);
-            object["sensor"] = sensor.number.into();
-            object
-        })
-    });
     let unit = fit.campaign.signal_unit().symbol();
     let mut object = json!({
         "axes": axis_errors.collect::<Vec<_>>(),
         "force": fit.force,
         "held_out_rms_g": pooled_rms(axes(model).map(|(_, axis)| axis.rms_g)),
-        "held": held.collect::<Vec<_>>(),
         "signal_unit": unit,
         "verdict": verdict(model, fit.campaign.signal_unit()),
         "provenance": model.provenance,
         "notices": notes::texts(&fit.notes),
     });
-    let mut of_model = parameters::to_json(&ParameterTable::of(model));
-    if let Some(estimates) = of_model.get_mut("parameters").and_then(Value::as_array_mut) {
+    parameters::add_json(&mut object, &ParameterTable::of(model));
+    if let Some(estimates) = object["parameters"].as_array_mut() {
         estimates.extend(model.sensors.iter().flat_map(|sensor| coefficients_json(sensor, unit)));
     }
-    object.as_object_mut().into_iter().for_each(|object| object.append(&mut of_model));
     object
 }
 

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use analysis::numbers;
 use analysis::parameters::{ParameterEstimate, ParameterTable, Prior, Remedy, Unidentified};
-use serde_json::{Map, Value, json};
+use serde_json::{Value, json};
 
 use crate::text::terminal::{self, SENSORS_ACROSS, TextTable};
 
@@ -16,10 +16,10 @@ const STRONG: f64 = 0.9;
 const NAMED: usize = 3;
 
 /// What the numbers of the table are.
-pub const TERMS: &str = "± one standard error (blocks of time; where the data do not decide, the prior). Tolerance: assumed scatter \
-    between grippers of one design, the prior of the base; of an effect the prior is ten typical magnitudes. ?: standard error above \
-    half the prior width, the prior decides. !: over 3 standard deviations (tolerance and standard error in quadrature) from the \
-    design, check it.";
+pub const TERMS: &str = "± one standard error (blocks of time; where the data do not decide, the prior). Prior width: \
+    of the base the tolerance, an assumed scatter between grippers of one design; of an effect ten typical magnitudes. ?: standard \
+    error above half the prior width, the prior decides. !: over 3 standard deviations (tolerance and standard error in quadrature) \
+    from the design, check it.";
 
 /// `1.542±0.031`, with the marks of [`TERMS`].
 pub fn value(one: &ParameterEstimate) -> String {
@@ -42,19 +42,24 @@ fn is_outlier(one: &ParameterEstimate) -> bool {
 
 /// Parameters of these sensors side by side.
 pub fn overview(table: &ParameterTable, sensors: &[u32]) -> TextTable {
-    let heads = ["parameter", "design", "tolerance"].map(String::from).into_iter();
+    let heads = ["parameter", "design", "prior width"].map(String::from).into_iter();
     let heads: Vec<String> =
         heads.chain(sensors.iter().map(|sensor| format!("sensor {sensor}"))).collect();
     let of = |sensor: u32| table.estimates.iter().filter(move |one| one.sensor == sensor);
     let first = sensors.first().into_iter().flat_map(|sensor| of(*sensor));
     let rows = first.map(|row| {
         let is_same = |one: &&ParameterEstimate| one.name == row.name && one.effect == row.effect;
-        let values = sensors.iter().map(|sensor| of(*sensor).find(is_same).map(value));
-        let number = |value: Option<f64>| numbers::decimal_or_dash(value.unwrap_or(f64::NAN), 3);
+        let same = || sensors.iter().map(|sensor| of(*sensor).find(is_same));
+        let values = same().map(|one| one.map(value));
+        // Of the sensors together, where they agree.
+        let number = |read: fn(&ParameterEstimate) -> Option<f64>| {
+            let of_all = read(row).filter(|_| same().flatten().all(|one| read(one) == read(row)));
+            numbers::decimal_or_dash(of_all.unwrap_or(f64::NAN), 3)
+        };
         let labels = [
             format!("{} {}", row.full_name(), row.unit),
-            number(row.nominal),
-            number(row.prior_width),
+            number(|one| one.nominal),
+            number(|one| one.prior_width),
         ];
         labels.into_iter().chain(values.map(Option::unwrap_or_default)).collect::<Vec<_>>()
     });
@@ -178,12 +183,9 @@ pub fn sentences(table: &ParameterTable) -> Vec<String> {
     furthest.into_iter().chain(strongest).collect()
 }
 
-/// Keys `parameters`, `correlations` and `unidentified` of a result.
-pub fn to_json(table: &ParameterTable) -> Map<String, Value> {
-    let keys = json!({
-        "parameters": table.estimates,
-        "correlations": table.correlations,
-        "unidentified": table.unidentified,
-    });
-    keys.as_object().cloned().unwrap_or_default()
+/// Adds `parameters`, `correlations` and `unidentified` to the object of a result.
+pub fn add_json(object: &mut Value, table: &ParameterTable) {
+    object["parameters"] = json!(table.estimates);
+    object["correlations"] = json!(table.correlations);
+    object["unidentified"] = json!(table.unidentified);
 }

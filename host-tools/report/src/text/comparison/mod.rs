@@ -276,11 +276,9 @@ pub fn to_json(comparison: &Comparison) -> Value {
         "noise": comparison.noise,
         "verdict": verdict(comparison),
     });
-    if let Some(fields) = object.as_object_mut() {
-        fields.append(&mut parameters::to_json(&comparison.parameters));
-        if let Some(other) = &comparison.other {
-            fields.insert("with".to_owned(), to_json(other));
-        }
+    parameters::add_json(&mut object, &comparison.parameters);
+    if let Some(other) = &comparison.other {
+        object["with"] = to_json(other);
     }
     object
 }
