@@ -152,6 +152,7 @@ fn invalid_model_parameter_is_rejected_by_name() {
         ("half_window_ms", "half_windows_ms", "unknown field `half_windows_ms`"),
         ("half_window_ms", "half_windows_ms", "did you mean `half_window_ms`?"),
         ("[sensor.parameters.gap]", "[sensor.parameters.gapp]", "did you mean gap?"),
+        ("[sensor.correlation]", "[sensor.correlation]\nkind = 1", "unknown field `kind`"),
         ("format = 1", "format = 2\nnew_key = 3", "this tool reads format = 1"),
     ] {
         std::fs::write(dir.path("model.toml"), good.replacen(from, to, 1)).unwrap();

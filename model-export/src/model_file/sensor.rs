@@ -101,6 +101,7 @@ pub struct UnidentifiableCombination {
 
 /// Correlations of the estimates of one sensor.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct CorrelationTable {
     /// Parameters, those of an effect as `effect.parameter`. Without coefficients of polynomials, parameters of single recordings, and
     /// those that are shared by all sensors or preset: their covariance with the others is not estimated.
