@@ -51,9 +51,6 @@ use sim::mountings::{MountedSensor, Mountings};
 use crate::interrupt::{self, Progress};
 use crate::{to_text, with_notes};
 
-/// A file that is not an earlier result of the same inputs is kept.
-const OVERWRITE: Overwrite = Overwrite::Refused { remedy: "choose another path, or remove it" };
-
 /// A formula's nonlinear parameter with the ends of its range.
 type Range = (String, f64, f64);
 
@@ -95,7 +92,7 @@ fn fit(
         if degree.is_some() && base == BaseKind::Cylinder {
             bail!("degree requires base \"polynomial\"; the cylinder base has no degree");
         }
-        let output = Output::check(&output, SIGNATURE, fingerprints(&campaign)?, OVERWRITE)?;
+        let output = Output::check(&output, SIGNATURE, fingerprints(&campaign)?, Overwrite::NEVER)?;
         let fit = fit_model(&campaign, base, degree, alignment(delay_ms), options(seed))?;
         fit.model.write_output(&output)?;
         Ok(with_notes(text::fit::to_json(&fit), &fit.notes))
@@ -116,7 +113,7 @@ fn compare(
 ) -> PyResult<Py<PyString>> {
     let result = interrupt::run(py, move |_| {
         let check = |path: PathBuf| {
-            Output::check(&path, report::html::MARK, fingerprints(&campaign)?, OVERWRITE)
+            Output::check(&path, report::html::MARK, fingerprints(&campaign)?, Overwrite::NEVER)
         };
         let report = report.map(check).transpose()?;
         let model = Model::read(&model)?;
@@ -192,7 +189,7 @@ fn edit(
         let rows = read_campaign(&campaign, alignment)?;
         let added = find_effects(&added, &formulas(&exprs, &ranges, &rows)?)?;
         let after = edited_effects(&model, added, &removed)?;
-        let output = edited_output(&output, &model, &after, &rows, OVERWRITE)?;
+        let output = edited_output(&output, &model, &after, &rows, Overwrite::NEVER)?;
         let edited = refit(rows, &model, after, alignment, options(seed))?;
         edited.model.write_output(&output)?;
         Ok(with_notes(text::edit_model::to_json(&edited), &edited.notes))
@@ -227,7 +224,7 @@ fn export(
 ) -> PyResult<Py<PyString>> {
     let result = interrupt::run(py, move |_| {
         let built = build(&model, ModelVariant::Fitted)?;
-        let output = Output::check(&output, TABLES_MARK, built.model.inputs(), OVERWRITE)?;
+        let output = Output::check(&output, TABLES_MARK, built.model.inputs(), Overwrite::NEVER)?;
         check_compensated(&built, "remove it from the model")?;
         let networks = network.as_deref().map(|path| NetworkSet::read(path, &built)).transpose()?;
         let source = tables_source(&built, networks.as_ref())?;
@@ -286,7 +283,7 @@ fn train(
             bail!("network and checkpoint need different files");
         }
         let mark = TensorFileKind::Network.mark();
-        let output = Output::check(&output, mark, fingerprints(&campaign)?, OVERWRITE)?;
+        let output = Output::check(&output, mark, fingerprints(&campaign)?, Overwrite::NEVER)?;
         let start = Instant::now();
         let data = TrainingData::read(&model, &campaign, hold_out, delay_ms)?;
         // A training resumes from no file but its own.
@@ -323,7 +320,7 @@ fn train(
 fn guess_mapping(py: Python<'_>, sources: Vec<PathBuf>, output: PathBuf) -> PyResult<Py<PyString>> {
     let result = interrupt::run(py, move |_| {
         let proposal = guess::propose(&sources)?;
-        write_same(&output, proposal.text.as_bytes(), OVERWRITE)?;
+        write_same(&output, proposal.text.as_bytes(), Overwrite::NEVER)?;
         Ok(text::import::proposal_json(&proposal, &output))
     })?;
     Ok(to_text(py, &result))

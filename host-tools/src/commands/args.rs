@@ -66,8 +66,17 @@ impl ForceArg {
     pub fn overwrite(self) -> Overwrite {
         match self.force {
             true => Overwrite::Forced,
-            false => Overwrite::Refused { remedy: "choose another path, or give --force" },
+            false => Overwrite::UNFORCED,
         }
+    }
+
+    /// Refuses `--force` where a command writes a folder.
+    pub fn check_folder(self, path: &Path) -> Result<()> {
+        if self.force {
+            let path = path.display();
+            bail!("--force replaces a file, and {path} is to be a folder: leave --force out");
+        }
+        Ok(())
     }
 
     /// The HTML report at `path`, of these inputs.

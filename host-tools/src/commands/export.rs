@@ -93,6 +93,7 @@ pub fn run(args: &Args) -> Result<()> {
 
 /// Writes each recording of a campaign as an MCAP file.
 fn write_mcap(args: &Args, campaign: &Path) -> Result<()> {
+    args.force.check_folder(&args.output)?;
     let model = ModelFile::read(&args.model)?;
     let alignment = args.align.of_model(&model)?;
     print_notes(Note::other_delay(&args.model, &model, alignment).as_slice());

@@ -68,6 +68,7 @@ pub fn run(args: &Args) -> Result<()> {
     let Some(mapping) = &args.mapping else {
         return propose(args);
     };
+    args.force.check_folder(&args.output)?;
     let imported = import_campaign(mapping, &args.sources, &args.output)?;
     print_notes(&imported.notes);
     if let Some(error) = &imported.fit_error {

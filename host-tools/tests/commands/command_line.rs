@@ -305,6 +305,8 @@ fn real_lattice_measurements_are_imported_and_fitted() {
     assert!((1.0..=2.5).contains(&rms_n), "{rms_n} N");
     let message = dir.failure(&["import", &mapping, a, "-o", "eflesh"]);
     assert!(message.contains("it is not overwritten"), "{message}");
+    let message = dir.failure(&["import", &mapping, a, "-o", "eflesh", "--force"]);
+    assert!(message.contains("eflesh is to be a folder: leave --force out"), "{message}");
 }
 
 #[test]
@@ -315,9 +317,12 @@ fn files_of_other_inputs_are_kept_without_force() {
         let path = line.rsplit(' ').next().unwrap();
         let before = fs::read(dir.path(path)).unwrap();
         let message = dir.failure(line);
+        let why = match line.contains("dbc") {
+            true => "has another content",
+            false => "is not an earlier result of the same inputs",
+        };
         assert!(message.ends_with(&format!(
-            "magpie: {path}: the output path exists and is not an earlier result of the same inputs; it is not \
-             overwritten: choose another path, or give --force\n"
+            "magpie: {path}: the output path exists and {why}; it is not overwritten: choose another path, or give --force\n"
         )), "{message}");
         assert_eq!(fs::read(dir.path(path)).unwrap(), before, "{line}");
     };

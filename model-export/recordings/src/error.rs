@@ -8,6 +8,9 @@ use serde::Serialize;
 /// Maximum number of characters of a name in a message, and of a name with a suggestion.
 const MAX_NAME: usize = 80;
 
+/// Remedy where a file is in the way that the user may remove.
+pub(crate) const REMOVABLE: &str = "choose another path, or remove it";
+
 /// A position in the input.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Location {
@@ -291,7 +294,7 @@ impl ErrorKind {
 
     /// An output path that a command never replaces exists.
     pub fn exists() -> Self {
-        Self::OutputExists { why: "", remedy: "choose another path, or remove it" }
+        Self::OutputExists { why: "", remedy: REMOVABLE }
     }
 
     /// Whether the values are those of another unit or clock.

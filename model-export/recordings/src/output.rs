@@ -1,12 +1,15 @@
 //! Output files: written atomically, never over files of another origin.
 
+use std::fmt;
 use std::fs::{File, TryLockError};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
+use sha2::{Digest, Sha256};
 use tempfile::{NamedTempFile, TempDir};
 
-use crate::error::{DataError, ErrorKind, Location};
+use crate::error::{DataError, ErrorKind, Location, REMOVABLE};
+use crate::recording::hex;
 
 /// Bytes that identify a file of this tool, and how such a file names its inputs.
 #[derive(Clone, Copy, Debug)]
@@ -63,9 +66,21 @@ pub enum Overwrite {
     Forced,
     /// It is kept; the error ends with this remedy.
     Refused {
-        /// As in "choose another path".
+        /// As in [`Overwrite::NEVER`].
         remedy: &'static str,
     },
+}
+
+impl Overwrite {
+    /// Of a caller that replaces no other file.
+    pub const NEVER: Self = Self::Refused { remedy: REMOVABLE };
+    /// Of a command whose option `--force` is not given.
+    pub const UNFORCED: Self = Self::Refused { remedy: "choose another path, or give --force" };
+}
+
+/// Digest of settings, by which output files name them as their input.
+pub fn fingerprint_of(settings: &impl fmt::Debug) -> String {
+    hex(&Sha256::digest(format!("{settings:?}").as_bytes())[..8])
 }
 
 /// A file that a command may write: nothing is at its path, or an earlier result of the same inputs, or the user forces it.
@@ -96,7 +111,8 @@ impl Output {
     }
 
     fn target(&self) -> Result<PathBuf, DataError> {
-        check_replaceable(&self.path, self.overwrite, |bytes| {
+        let why = " and is not an earlier result of the same inputs";
+        check_replaceable(&self.path, (self.overwrite, why), |bytes| {
             let named = self.signature.inputs_of(bytes);
             let is_own = |named: Vec<String>| named.iter().all(|name| self.inputs.contains(name));
             self.signature.is_of(bytes) && named.is_some_and(is_own)
@@ -131,7 +147,8 @@ impl Output {
 /// # Errors
 /// The path holds another file, or the file system refuses.
 pub fn write_same(path: &Path, bytes: &[u8], overwrite: Overwrite) -> Result<(), DataError> {
-    let target = check_replaceable(path, overwrite, |existing| existing == bytes)?;
+    let why = " and has another content";
+    let target = check_replaceable(path, (overwrite, why), |existing| existing == bytes)?;
     replace(path, &target, bytes)
 }
 
@@ -228,15 +245,15 @@ pub fn check_output<'a>(
     signature: impl Into<FileSignature<'a>>,
 ) -> Result<PathBuf, DataError> {
     let signature = signature.into();
-    let overwrite = Overwrite::Refused { remedy: "choose another path" };
-    check_replaceable(path, overwrite, |bytes| signature.is_of(bytes))
+    let why = " and is not a file of this command";
+    check_replaceable(path, (Overwrite::NEVER, why), |bytes| signature.is_of(bytes))
 }
 
 /// The resolved path of an output file that may be written: nothing is there, or an empty file, or one that `is_same` accepts, or
-/// any file that the user wants to replace.
+/// any file that the user wants to replace. `why` continues "the output path exists" for another file.
 fn check_replaceable(
     path: &Path,
-    overwrite: Overwrite,
+    (overwrite, why): (Overwrite, &'static str),
     is_same: impl FnOnce(&[u8]) -> bool,
 ) -> Result<PathBuf, DataError> {
     let target = match path.symlink_metadata() {
@@ -249,12 +266,12 @@ fn check_replaceable(
             is_short && std::fs::read(&target).is_ok_and(|old| old.is_empty() || is_same(&old))
         };
         let refused = match overwrite {
-            _ if !target.is_file() => Some("choose another path"),
+            _ if target.is_dir() => Some((" and is a folder", "choose another path")),
+            _ if !target.is_file() => Some((" and is not a regular file", "choose another path")),
             Overwrite::Forced => None,
-            Overwrite::Refused { remedy } => (!is_same()).then_some(remedy),
+            Overwrite::Refused { remedy } => (!is_same()).then_some((why, remedy)),
         };
-        if let Some(remedy) = refused {
-            let why = " and is not an earlier result of the same inputs";
+        if let Some((why, remedy)) = refused {
             return Err(ErrorKind::OutputExists { why, remedy }.at(Location::file(path)));
         }
     }

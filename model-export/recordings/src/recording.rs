@@ -1,7 +1,6 @@
 //! One recording in memory: aligned to the reference clock, stored by column.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fmt;
 use std::fs;
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -181,11 +180,6 @@ pub fn fingerprint(folder: &Path) -> Result<String, DataError> {
         }
     }
     Ok(hex(&hash.finalize()))
-}
-
-/// Digest of settings, by which output files name them as their input.
-pub fn fingerprint_of(settings: &impl fmt::Debug) -> String {
-    hex(&Sha256::digest(format!("{settings:?}").as_bytes())[..8])
 }
 
 /// Lower-case hexadecimal digits.

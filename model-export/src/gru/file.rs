@@ -269,8 +269,7 @@ mod tests {
     }
 
     fn output(path: &Path) -> Result<Output, DataError> {
-        let overwrite = Overwrite::Refused { remedy: "choose another path" };
-        Output::check(path, TensorFileKind::Network.mark(), Vec::new(), overwrite)
+        Output::check(path, TensorFileKind::Network.mark(), Vec::new(), Overwrite::NEVER)
     }
 
     fn refused(path: &Path) -> String {

@@ -10,7 +10,7 @@ use model_export::design::DesignEvaluation;
 use model_export::design::SensorDesign;
 use model_export::design::interference::{DRAWS, InterferenceSources};
 use model_export::design::sweep;
-use model_export::recordings::recording::fingerprint_of;
+use model_export::output::fingerprint_of;
 
 use crate::commands::args::ForceArg;
 use report::html::design as pages;

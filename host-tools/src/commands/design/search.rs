@@ -9,8 +9,7 @@ use model_export::design::design_file;
 use model_export::design::optimise::optimise;
 use model_export::design::sweep::{self, pareto_front, sweep};
 use model_export::input::plausible_range;
-use model_export::output::Output;
-use model_export::recordings::recording::fingerprint_of;
+use model_export::output::{Output, fingerprint_of};
 
 use crate::commands::args::ForceArg;
 use crate::commands::design::space::SpaceArgs;

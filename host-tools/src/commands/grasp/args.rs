@@ -7,8 +7,7 @@ use anyhow::Result;
 use device::control::{WidthWindow, result_code};
 use device::session::foot_openings;
 use firmware::config::constants;
-use model_export::output::{Output, Overwrite};
-use model_export::recordings::recording::fingerprint_of;
+use model_export::output::{Output, Overwrite, fingerprint_of};
 use sim::closed_loop::landing::FootContact;
 use sim::drivetrain::parameters::Lead;
 
@@ -175,9 +174,8 @@ impl Args {
     /// The HTML report, of a simulation with these settings.
     pub(super) fn page(&self, settings: &impl Debug) -> Result<Option<Output>> {
         // Here --force is that of the fingers.
-        let overwrite = Overwrite::Refused { remedy: "choose another path, or remove it" };
         let inputs = vec![fingerprint_of(settings)];
-        let check = |path| Output::check(path, report::html::MARK, inputs, overwrite);
+        let check = |path| Output::check(path, report::html::MARK, inputs, Overwrite::NEVER);
         Ok(self.output.as_deref().map(check).transpose()?)
     }
 

@@ -461,9 +461,6 @@ async fn scatter(State(server): State<Server>, Json(request): Json<ScatterReques
     .await
 }
 
-/// The page writes no other file over one that is there.
-const OVERWRITE: Overwrite = Overwrite::Refused { remedy: "choose another path, or remove it" };
-
 async fn write(State(server): State<Server>, Json(request): Json<WriteRequest>) -> Response {
     let last = lock(&server.diagnosis).clone();
     let (campaign, live) = (server.campaign.clone(), server.live.clone());
@@ -473,7 +470,7 @@ async fn write(State(server): State<Server>, Json(request): Json<WriteRequest>) 
         let message = match request.kind {
             Kind::Model => {
                 let inputs = shown.model.file.inputs();
-                let output = Output::check(path, model_file::SIGNATURE, inputs, OVERWRITE)?;
+                let output = Output::check(path, model_file::SIGNATURE, inputs, Overwrite::NEVER)?;
                 shown.model.file.write_output(&output)?;
                 format!("Written to {}.", path.display())
             }
@@ -483,7 +480,7 @@ async fn write(State(server): State<Server>, Json(request): Json<WriteRequest>) 
                     own.map_or_else(Vec::new, |(_, of_model)| diagnosis::sections(&of_model));
                 let inputs = fingerprints(&campaign)?;
                 report::html::write(
-                    &Output::check(path, report::html::MARK, inputs, OVERWRITE)?,
+                    &Output::check(path, report::html::MARK, inputs, Overwrite::NEVER)?,
                     &pages::with_baseline(&shown, baseline.as_deref()),
                     &sections,
                 )?;
@@ -499,11 +496,11 @@ async fn write(State(server): State<Server>, Json(request): Json<WriteRequest>) 
                 let plan = plan.map(|proposal| proposal.plan).filter(|plan| !plan.steps.is_empty());
                 let plan =
                     plan.context("there is no plan yet: \"Plan the next recording\" makes one")?;
-                write_plan_file(&plan_output(path, &campaign, OVERWRITE)?, &plan, &campaign)?
+                write_plan_file(&plan_output(path, &campaign, Overwrite::NEVER)?, &plan, &campaign)?
             }
             Kind::Tables => {
                 let inputs = shown.model.file.inputs();
-                let output = Output::check(path, TABLES_MARK, inputs, OVERWRITE)?;
+                let output = Output::check(path, TABLES_MARK, inputs, Overwrite::NEVER)?;
                 let built = tables(&shown.model.file)?;
                 check_compensated(&built, "export")?;
                 output.write(tables_source(&built).as_bytes())?;

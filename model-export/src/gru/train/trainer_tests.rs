@@ -151,8 +151,7 @@ fn shared_network_predicts_all_its_sensors() {
 }
 
 fn output(path: &Path) -> Output {
-    let overwrite = Overwrite::Refused { remedy: "choose another path" };
-    Output::check(path, TensorFileKind::Checkpoint.mark(), Vec::new(), overwrite).unwrap()
+    Output::check(path, TensorFileKind::Checkpoint.mark(), Vec::new(), Overwrite::NEVER).unwrap()
 }
 
 #[test]
