@@ -1,6 +1,7 @@
 //! Text of notes: one sentence for each.
 
 use std::ffi::OsString;
+use std::path::PathBuf;
 
 use analysis::notes::{Note, UncompensatedEffect};
 use model_export::inverse::device_support::DeviceSupport;
@@ -77,28 +78,23 @@ pub fn text(note: &Note) -> String {
 pub fn texts(notes: &[Note]) -> Vec<String> {
     let mut groups: Vec<(&Note, Option<NoticeKind>, Vec<String>)> = Vec::new();
     for note in notes {
-        let kind = notice_kind(note);
-        let recording = kind.as_ref().map(|(_, recording)| recording.clone());
-        let kind = kind.map(|(kind, _)| kind);
-        match groups.iter_mut().find(|(_, other, _)| kind.is_some() && *other == kind) {
+        let (kind, recording) = notice_kind(note).unzip();
+        let is_other = |known: &[String]| !known.iter().any(|one| Some(one) == recording.as_ref());
+        let same = groups
+            .iter_mut()
+            .find(|(_, other, known)| kind.is_some() && *other == kind && is_other(known));
+        match same {
             Some((_, _, recordings)) => recordings.extend(recording),
             None => groups.push((note, kind, recording.into_iter().collect())),
         }
     }
-    let sentence = |(note, _, recordings): (&Note, _, Vec<String>)| match recordings.as_slice() {
-        [] | [_] => text(note),
-        [.., _] if recordings.len() > LISTED => {
-            format!(
-                "{} ({} recordings; the numbers are those of the first)",
-                text(note),
-                recordings.len()
-            )
-        }
-        names => format!(
-            "{} (recordings {}; the numbers are those of the first)",
-            text(note),
-            names.join(", ")
-        ),
+    let sentence = |(note, _, recordings): (&Note, _, Vec<String>)| {
+        let which = match recordings.as_slice() {
+            [] | [_] => return text(note),
+            names if names.len() > LISTED => format!("{} recordings", names.len()),
+            names => format!("recordings {}", names.join(", ")),
+        };
+        format!("{} ({which}; the numbers are those of the first)", text(note))
     };
     groups.into_iter().map(sentence).collect()
 }
@@ -106,8 +102,8 @@ pub fn texts(notes: &[Note]) -> Vec<String> {
 /// Recordings that a note lists.
 const LISTED: usize = 8;
 
-/// File name, column, and message without its digits.
-type NoticeKind = (OsString, Option<String>, String);
+/// Campaign, file name, column, and message without its numbers.
+type NoticeKind = (PathBuf, OsString, Option<String>, String);
 
 /// What a notice has in common with those of other recordings, and its recording.
 fn notice_kind(note: &Note) -> Option<(NoticeKind, String)> {
@@ -115,9 +111,12 @@ fn notice_kind(note: &Note) -> Option<(NoticeKind, String)> {
     let place = &notice.location;
     let file = place.file.file_name()?.to_owned();
     place.line?;
-    let recording = recording_name(place.file.parent()?);
-    let message = notice.message.replace(|c: char| c.is_ascii_digit() || c == '.', "");
-    Some(((file, place.column.clone(), message), recording))
+    let folder = place.file.parent()?;
+    // The digits of a name are not a number: sensors of other recordings may be others.
+    let is_number = |word: &&str| !word.contains(|c: char| c.is_alphabetic() || c == '_');
+    let words = notice.message.split(' ').filter(|word| !is_number(word));
+    let kind = (folder.parent()?.to_owned(), file, place.column.clone(), words.collect());
+    Some((kind, recording_name(folder)))
 }
 
 pub fn device_support(support: &DeviceSupport) -> String {
@@ -156,11 +155,17 @@ mod tests {
             notice("1", "force.csv", "19 gaps of 1.5 ms"),
             notice("2", "hall.csv", "20 gaps of 33 ms"),
             notice("2", "hall.csv", "2 rows are saturated"),
+            notice("2", "hall.csv", "21 gaps of 34 ms"),
+            notice("1", "hall.csv", "s0 is dark"),
+            notice("2", "hall.csv", "s1 is dark"),
         ];
         let expected = [
             "bench/1/hall.csv, line 7: 19 gaps of 1.5 ms (recordings 1, 2; the numbers are those of the first)",
             "bench/1/force.csv, line 7: 19 gaps of 1.5 ms",
             "bench/2/hall.csv, line 7: 2 rows are saturated",
+            "bench/2/hall.csv, line 7: 21 gaps of 34 ms",
+            "bench/1/hall.csv, line 7: s0 is dark",
+            "bench/2/hall.csv, line 7: s1 is dark",
         ];
         assert_eq!(texts(&notes), expected);
     }

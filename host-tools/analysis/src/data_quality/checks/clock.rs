@@ -6,6 +6,7 @@ use crate::data_quality::fix::{Change, Fix, FixKind, Repair};
 use crate::data_quality::scan::column::{ColumnScan, Quantity};
 use crate::data_quality::scan::{Repeats, TableScan};
 use model_export::recordings::Location;
+use std::collections::BTreeMap;
 use std::f64::consts::PI;
 
 /// Timestamps that decrease, an error for the readers.
@@ -130,32 +131,37 @@ const BEYOND_CHANCE: f64 = 10.0;
 
 /// Sensors that are read less often than rows are written.
 pub fn repeated_samples<'a>(context: &CheckContext<'a>) -> Vec<Found<'a>> {
-    let hit: Vec<(usize, &TableScan, &Repeats)> = context
-        .tables()
-        .into_iter()
-        .filter(|(recording, _)| !context.recordings[*recording].is_table_of_settings)
-        .filter(|(_, table)| !context.has("stuck_channel", table))
-        .flat_map(|(recording, table)| {
-            let sensors = table.repeats.iter();
-            sensors
-                .filter(|repeats| has_repeats(table, repeats))
-                .map(move |repeats| (recording, table, repeats))
-        })
-        .collect();
+    let mut groups: BTreeMap<Vec<u32>, Vec<(usize, &TableScan, &Repeats)>> = BTreeMap::new();
+    for (recording, table) in context.tables() {
+        if context.recordings[recording].is_table_of_settings || context.has("stuck_channel", table)
+        {
+            continue;
+        }
+        let own = table.repeats.iter().filter(|repeats| has_repeats(table, repeats));
+        let mut sensors: Vec<u32> = own.clone().map(|repeats| repeats.sensor).collect();
+        sensors.sort_unstable();
+        groups.entry(sensors).or_default().extend(own.map(|repeats| (recording, table, repeats)));
+    }
+    groups.iter().filter_map(|(sensors, hit)| repeated(context, sensors, hit)).collect()
+}
+
+/// Of the recordings in which these sensors have repeated samples.
+fn repeated<'a>(
+    context: &CheckContext<'a>,
+    sensors: &[u32],
+    hit: &[(usize, &TableScan, &Repeats)],
+) -> Option<Found<'a>> {
     let worst = hit.iter().max_by(|(_, _, a), (_, _, b)| a.share().total_cmp(&b.share()));
-    let Some((_, worst, repeats)) = worst else { return Vec::new() };
-    let mut sensors: Vec<u32> = hit.iter().map(|(_, _, repeats)| repeats.sensor).collect();
-    sensors.sort_unstable();
-    sensors.dedup();
+    let (_, worst, repeats) = worst?;
     let is_all = sensors.len() == worst.repeats.len();
     let evidence = Evidence::RepeatedSamples {
-        sensors: (!is_all).then_some(sensors),
+        sensors: (!is_all).then(|| sensors.to_vec()),
         recordings: context.recordings_in(hit.iter().map(|(recording, _, _)| *recording)),
         share: repeats.share(),
         by_chance: by_chance(worst, repeats),
         rate_hz: 1e6 / worst.clock.period_us * (1.0 - repeats.share()),
     };
-    vec![Found::new(Location::file(&worst.path).line(repeats.line), evidence)]
+    Some(Found::new(Location::file(&worst.path).line(repeats.line), evidence))
 }
 
 /// True where noise should have changed the axes of a sensor in many rows but did not.

@@ -385,9 +385,7 @@ const CLIPPED_REFERENCE: f64 = 0.02;
 
 /// Sensors without a temperature in recordings where others have one.
 pub fn missing_temperatures<'a>(context: &CheckContext<'a>) -> Vec<Found<'a>> {
-    let mut sensors = BTreeSet::new();
-    let mut place = None;
-    let mut hit = Vec::new();
+    let mut groups: Vec<(Vec<u32>, Location, Vec<usize>)> = Vec::new();
     for (recording, table) in context.tables() {
         let of_fields = table.columns.iter().filter_map(|column| match column.quantity {
             Quantity::Field { sensor, .. } => Some(sensor),
@@ -399,16 +397,19 @@ pub fn missing_temperatures<'a>(context: &CheckContext<'a>) -> Vec<Found<'a>> {
         if missing.is_empty() || missing.len() == of_fields.len() {
             continue;
         }
+        if let Some((.., hit)) = groups.iter_mut().find(|(sensors, ..)| *sensors == missing) {
+            hit.push(recording);
+            continue;
+        }
         let column = format!("s{}_temp_c", missing[0]);
-        place.get_or_insert_with(|| Location::file(&table.path).line(1).column(column));
-        sensors.extend(missing);
-        hit.push(recording);
+        let place = Location::file(&table.path).line(1).column(column);
+        groups.push((missing, place, vec![recording]));
     }
-    let evidence = |recordings| Evidence::MissingTemperature {
-        sensors: sensors.iter().copied().collect(),
-        recordings,
+    let found = |(sensors, place, hit): (Vec<u32>, Location, Vec<usize>)| {
+        let recordings = context.recordings_in(hit);
+        Found::new(place, Evidence::MissingTemperature { sensors, recordings })
     };
-    place.map(|place| Found::new(place, evidence(context.recordings_in(hit)))).into_iter().collect()
+    groups.into_iter().map(found).collect()
 }
 
 /// A covariate with a spread below this multiple of its white noise counts as constant.
