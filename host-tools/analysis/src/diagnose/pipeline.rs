@@ -87,7 +87,7 @@ pub fn diagnose_checked(
     findings.append(&mut diagnosis.findings);
     diagnosis.findings = findings;
     let is_fitted_here = checked.other_recordings(model).is_none();
-    diagnosis.set_suggestion(own, model.file.base, alignment.delay_us / 1e3, is_fitted_here);
+    diagnosis.set_suggestion(own, &model.file, alignment.delay_us / 1e3, is_fitted_here);
     Ok((diagnosis, refit))
 }
 

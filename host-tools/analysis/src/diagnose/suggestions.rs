@@ -4,7 +4,7 @@ use crate::diagnose::diagnosis::{Diagnosis, Suggestion, SuggestionKind};
 use crate::diagnose::recording_differences;
 use crate::diagnose::verdict::{Verdict, VerdictKind};
 use model_export::effects::EffectTerm;
-use model_export::model_file::BaseKind;
+use model_export::model_file::{BaseKind, ModelFile};
 
 /// Arguments of the diagnosis.
 pub struct Invocation<'a> {
@@ -14,6 +14,8 @@ pub struct Invocation<'a> {
     pub campaign: &'a str,
     /// Delay of the reference's clock in milliseconds.
     pub delay_ms: f64,
+    /// The delay in the model's file.
+    pub fitted_ms: f64,
     /// The model's base.
     pub base: BaseKind,
     /// Whether the model was fitted to one of these recordings.
@@ -36,11 +38,11 @@ const MADE: [&str; 8] = [
 ];
 
 impl Diagnosis {
-    /// Sets the suggested command; `own` are the user-defined effects, `base` is that of the model.
+    /// Sets the suggested command; `own` are the user-defined effects.
     pub fn set_suggestion(
         &mut self,
         own: &[EffectTerm],
-        base: BaseKind,
+        model: &ModelFile,
         delay_ms: f64,
         is_fitted_here: bool,
     ) {
@@ -53,7 +55,8 @@ impl Diagnosis {
                 model: &self.model,
                 campaign: &self.campaign,
                 delay_ms,
-                base,
+                fitted_ms: model.provenance.delay_ms,
+                base: model.base,
                 is_fitted_here,
                 own: &own,
             },
@@ -67,7 +70,7 @@ pub fn suggest(diagnosis: &Diagnosis, typed: &Invocation) -> Suggestion {
         let mut words =
             ["cargo", "magpie", what, typed.model, typed.campaign].map(str::to_owned).to_vec();
         words.extend_from_slice(rest);
-        if typed.delay_ms != 0.0 {
+        if typed.delay_ms != typed.fitted_ms {
             words.extend(["--delay-ms".to_owned(), typed.delay_ms.to_string()]);
         }
         line(&words)
@@ -256,6 +259,7 @@ mod tests {
         model: "m.toml",
         campaign: "my campaign",
         delay_ms: 0.0,
+        fitted_ms: 0.0,
         base: BaseKind::Cylinder,
         is_fitted_here: true,
         own: &[],
@@ -335,6 +339,8 @@ mod tests {
             ]
         );
         assert_eq!(suggest(&tied, &typed).kind, SuggestionKind::ChooseEffect);
+        let fitted = suggest(&tied, &Invocation { fitted_ms: -2.5, ..typed });
+        assert!(!fitted.commands[0].contains("--delay-ms"), "{fitted:?}");
     }
 
     #[test]

@@ -154,7 +154,7 @@ pub fn suggestion_heading(kind: SuggestionKind) -> &'static str {
             "Suggestion, choose one and add it, or make a recording that tells them apart (`--plan` proposes one where a short one can):"
         }
         SuggestionKind::AlignClocks => {
-            "Suggestion, align the clocks, which no device can compensate, and diagnose the new model with the same --delay-ms:"
+            "Suggestion, align the clocks, which no device can compensate, and diagnose the new model:"
         }
         SuggestionKind::CorrectRecordings => {
             "Suggestion, give the recordings one zero, fit the copy, and diagnose it with the new model:"
