@@ -33,7 +33,7 @@ use model_export::gru::train::checkpoint;
 use model_export::gru::train::dataset::Topology;
 use model_export::gru::train::trainer::{Trainer, TrainingSettings};
 use model_export::inverse::build::{ModelVariant, build};
-use model_export::model_file::{BaseKind, ModelFile, SIGNATURE, TABLES_MARK};
+use model_export::model_file::{BaseKind, SIGNATURE, TABLES_MARK};
 use model_export::output::{Output, Overwrite, write_same};
 use model_export::recordings::Campaign;
 use model_export::recordings::align::Alignment;
@@ -207,8 +207,7 @@ fn replay(
     delay_ms: Option<f64>,
 ) -> PyResult<Py<PyString>> {
     let result = interrupt::run(py, move |_| {
-        let alignment = ModelFile::read(&model)?.alignment(delay_ms);
-        let replayed = evaluation::evaluate(&model, &campaign, network.as_deref(), alignment)?;
+        let replayed = evaluation::evaluate(&model, &campaign, network.as_deref(), delay_ms)?;
         Ok(with_notes(text::replay::to_json(&replayed), &replayed.notes))
     })?;
     Ok(to_text(py, &result))
@@ -352,8 +351,7 @@ fn export_mcap(
     delay_ms: Option<f64>,
 ) -> PyResult<Vec<PathBuf>> {
     interrupt::run(py, move |_| {
-        let alignment = ModelFile::read(&model)?.alignment(delay_ms);
-        write_bags(&model, network.as_deref(), &campaign, &output, alignment)
+        Ok(write_bags(&model, network.as_deref(), &campaign, &output, delay_ms)?.0)
     })
 }
 

@@ -12,6 +12,7 @@ use std::path::PathBuf;
 use analysis::import::ImportError;
 use analysis::notes::{ErrorWithNotes, Note};
 use model_export::fit::FitError;
+use model_export::inverse::build::BuildError;
 use model_export::recordings::DataError;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -81,7 +82,12 @@ fn to_python(py: Python<'_>, error: anyhow::Error) -> PyErr {
     };
     let place = error.chain().find_map(|cause| {
         let of_import = cause.downcast_ref::<ImportError>().map(|explained| &explained.error);
-        let of_data = cause.downcast_ref::<DataError>().or(of_import).map(|error| &*error.location);
+        let of_model = cause.downcast_ref::<BuildError>().and_then(|error| match error {
+            BuildError::File(error) => Some(error),
+            _ => None,
+        });
+        let of_data = cause.downcast_ref::<DataError>().or(of_import).or(of_model);
+        let of_data = of_data.map(|error| &*error.location);
         of_data.or_else(|| cause.downcast_ref::<FitError>()?.place())
     });
     let place = place.cloned().unwrap_or_default();

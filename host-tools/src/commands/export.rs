@@ -6,7 +6,7 @@ use analysis::notes::{Note, UncompensatedEffect};
 use analysis::replay::bags::write_bags;
 use anyhow::{Result, bail};
 use model_export::inverse::build::{DeviceModel, ModelVariant, build};
-use model_export::model_file::{ModelFile, TABLES_MARK};
+use model_export::model_file::TABLES_MARK;
 use model_export::output::Output;
 use serde_json::json;
 
@@ -94,11 +94,9 @@ pub fn run(args: &Args) -> Result<()> {
 /// Writes each recording of a campaign as an MCAP file.
 fn write_mcap(args: &Args, campaign: &Path) -> Result<()> {
     args.force.check_folder(&args.output)?;
-    let model = ModelFile::read(&args.model)?;
-    let alignment = args.align.of_model(&model)?;
-    print_notes(Note::other_delay(&args.model, &model, alignment).as_slice());
-    let network = args.network.as_deref();
-    let files = write_bags(&args.model, network, campaign, &args.output, alignment)?;
+    let (network, delay_ms) = (args.network.as_deref(), args.align.given_ms()?);
+    let (files, note) = write_bags(&args.model, network, campaign, &args.output, delay_ms)?;
+    print_notes(note.as_slice());
     let written = || {
         let paths: Vec<String> = files.iter().map(|path| path.display().to_string()).collect();
         format!(

@@ -4,7 +4,6 @@ use std::path::PathBuf;
 
 use analysis::replay::evaluation::evaluate;
 use anyhow::Result;
-use model_export::model_file::ModelFile;
 use report::text::replay::{format_report, to_json};
 use report::text::terminal;
 
@@ -35,8 +34,8 @@ pub struct Args {
 
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
-    let alignment = args.align.of_model(&ModelFile::read(&args.model)?)?;
-    let evaluation = evaluate(&args.model, &args.campaign, args.network.as_deref(), alignment)?;
+    let delay_ms = args.align.given_ms()?;
+    let evaluation = evaluate(&args.model, &args.campaign, args.network.as_deref(), delay_ms)?;
     print_notes(&evaluation.notes);
     terminal::print_result(args.json, || to_json(&evaluation), || format_report(&evaluation))
 }

@@ -55,12 +55,12 @@ pub struct ReplayEvaluation {
     pub notes: Vec<Note>,
 }
 
-/// Replays `campaign` with the model and networks at these paths.
+/// Replays `campaign` with the model and networks at these paths; without a delay with that of the model.
 pub fn evaluate(
     model: &Path,
     campaign: &Path,
     network: Option<&Path>,
-    alignment: Alignment,
+    delay_ms: Option<f64>,
 ) -> Result<ReplayEvaluation> {
     let building = progress::progress_bar("building tables", 2);
     let built = build(model, ModelVariant::Fitted)?;
@@ -68,6 +68,7 @@ pub fn evaluate(
     let uncompensated = UncompensatedEffect::of(&built).map(Note::Uncompensated);
     let uncompensated: Vec<Note> = uncompensated.collect();
     let DeviceModel { model: file, chosen: fitted, compensations, header, .. } = built;
+    let alignment = file.alignment(delay_ms);
     building.inc(1);
     let nominal = match file.design {
         Some(_) => Some(build(model, ModelVariant::Nominal)?.chosen),
