@@ -7,8 +7,9 @@ use crate::grip::fault_reactions::{
     FirstFault, FirstFaultLatch, Reaction, TRIP_FAULTS, fault_of, is_active, strongest_reaction,
     trip_bits,
 };
-use crate::grip::interface::{ControlOutputs, GripSettings, GripStep};
+use crate::grip::interface::{ControlOutputs, GripSettings};
 use crate::grip::states::{GripPhase, PowerState, TaskState};
+use crate::grip::step::GripStep;
 use crate::motor::state::SupplyState;
 use crate::motor::{MotorState, Trip};
 use crate::system::faults::{Fault, FaultSet};

@@ -3,7 +3,6 @@
 use crate::config::limits::GripLimits;
 use crate::estimator::Estimate;
 use crate::grip::commands::CommandRefusal;
-use crate::grip::contact_observer::ContactObserver;
 use crate::motor::screw::Screw;
 use crate::motor::{MotorStatus, Setpoint};
 use crate::protocol::messages::{Command, FaultEvent, Foot, GripStatus};
@@ -89,14 +88,4 @@ pub(super) struct GripSettings {
     pub(super) screw: Screw,
     /// The screw holds its load without current.
     pub(super) self_locking: bool,
-}
-
-/// What all parts of the controller read in one step. Passed by value: its fields stay in registers where a call is inlined.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct GripStep<'a> {
-    pub(super) inputs: &'a ControlInputs<'a>,
-    pub(super) contact: &'a ContactObserver,
-    pub(super) settings: &'a GripSettings,
-    /// Milliseconds since start; wraps around.
-    pub(super) now_ms: u32,
 }

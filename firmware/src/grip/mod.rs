@@ -18,7 +18,7 @@
 //! - [`force_controller`], [`homing`]: control laws.
 //! - [`slip_detector`], [`stall_detector`]: detectors.
 //! - [`fault_reactions`]: reaction to each fault, and the first cause; [`redundant_copy`]: memory check.
-//! - `interface`: inputs and outputs.
+//! - `interface`: inputs and outputs; `step`: what the parts read.
 
 pub mod commands;
 pub mod contact;
@@ -39,6 +39,7 @@ pub mod slip_detector;
 pub mod stall_detector;
 pub mod states;
 mod status_message;
+mod step;
 mod task_layer;
 #[cfg(test)]
 mod tests;
@@ -52,9 +53,10 @@ use crate::grip::contact_observer::ContactObserver;
 use crate::grip::fault_monitor::FaultMonitor;
 use crate::grip::fault_reactions::FirstFault;
 use crate::grip::ground_contact::GroundContact;
-use crate::grip::interface::{GripSettings, GripStep};
+use crate::grip::interface::GripSettings;
 use crate::grip::power_layer::PowerLayer;
 use crate::grip::states::{PowerState, TaskState};
+use crate::grip::step::GripStep;
 use crate::grip::task_layer::TaskLayer;
 use crate::motor::calibration::{CalibrationFailure, CalibrationKind};
 use crate::motor::screw::Screw;

@@ -3,8 +3,8 @@
 
 use crate::config::limits::GripLimits;
 use crate::grip::contact_observer::MEAN_TICKS;
-use crate::grip::interface::GripStep;
 use crate::grip::rise::RiseDetector;
+use crate::grip::step::GripStep;
 use crate::math::greater;
 use crate::motor::MotorStatus;
 

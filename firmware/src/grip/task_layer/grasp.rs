@@ -5,9 +5,9 @@ use crate::fixed_point::Force;
 use crate::grip::commands::GraspTarget;
 use crate::grip::debounce::next_ms;
 use crate::grip::force_controller::StiffnessEstimator;
-use crate::grip::interface::GripStep;
 use crate::grip::slip_detector::{ObjectState, SlipDetector};
 use crate::grip::states::TaskState;
+use crate::grip::step::GripStep;
 use crate::grip::transitions::TaskEvent;
 use crate::math::greater;
 
