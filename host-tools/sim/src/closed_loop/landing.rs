@@ -118,10 +118,14 @@ impl Landing {
             .map(|(end, right)| (0.5 + end * far) * (0.5 + right * side))
     }
 
+    /// Share of the most loaded fingertip.
+    fn largest_share(&self) -> f64 {
+        self.shares().into_iter().fold(0.0, f64::max)
+    }
+
     /// Initial force rate of the most loaded fingertip, in N/s.
     pub fn rises_n_s(&self) -> f64 {
-        let most = self.shares().into_iter().fold(0.0, f64::max);
-        PI * self.peak_n * most / self.lasts_s
+        PI * self.peak_n * self.largest_share() / self.lasts_s
     }
 
     /// Simulates the landing.
@@ -188,13 +192,16 @@ impl LandingResult {
 
     /// Maximum reported force on one fingertip, in N.
     pub fn held_n(&self) -> f64 {
-        self.points.iter().map(|p| p.peak_n).fold(0.0, f64::max)
+        self.greatest(|point| point.peak_n)
+    }
+
+    fn greatest(&self, of: impl Fn(&LandingSample) -> f64) -> f64 {
+        self.points.iter().map(of).fold(0.0, f64::max)
     }
 
     /// Peak force on one fingertip, in N.
     pub fn peak_n(&self) -> f64 {
-        let most = self.landing.shares().into_iter().fold(0.0, f64::max);
-        most * self.landing.peak_n
+        self.landing.largest_share() * self.landing.peak_n
     }
 
     /// Reported centre of pressure at peak force, in mm along and across the fingers.
@@ -205,8 +212,7 @@ impl LandingResult {
 
     /// Figures: name, reported and true value, unit; NaN where nothing was reported.
     pub fn figures(&self) -> Vec<(&'static str, [f64; 2], &'static str)> {
-        let estimated_n = self.points.iter().map(|point| point.estimated_n);
-        let estimated_n = estimated_n.fold(0.0, f64::max);
+        let estimated_n = self.greatest(|point| point.estimated_n);
         let contact_ms = 1e3 * self.contact_s().unwrap_or(f64::NAN);
         let [along_mm, across_mm] = self.centre_mm().unwrap_or([f64::NAN; 2]);
         vec![
