@@ -194,13 +194,8 @@ impl GripRig {
             (command.force, command.flags) = ((10.0 * force_n) as u16, 2);
         });
         rig.press(force_n.into());
-        for _ in 0..400 {
-            rig.rest(40.0, 0.0);
-            if rig.grip.task() == task {
-                return rig;
-            }
-        }
-        panic!("{:?} instead of {task:?}", rig.grip.task());
+        rig.rest_until(|now| now == task);
+        rig
     }
 
     /// Sets the estimates to equal forces on both fingers.
@@ -330,13 +325,27 @@ impl GripRig {
     }
 
     pub fn run_until(&mut self, task: TaskState) {
+        self.until(|now| now == task, Self::tick);
+    }
+
+    /// Runs until another task state.
+    pub fn run_while(&mut self, task: TaskState) {
+        self.until(|now| now != task, Self::tick);
+    }
+
+    /// Fingers that rest at 40 mm until a task state.
+    pub fn rest_until(&mut self, is_reached: impl Fn(TaskState) -> bool) {
+        self.until(is_reached, |rig| rig.rest(40.0, 0.0));
+    }
+
+    fn until(&mut self, is_reached: impl Fn(TaskState) -> bool, wait: impl Fn(&mut Self)) {
         for _ in 0..20_000 {
-            if self.grip.task() == task {
+            if is_reached(self.grip.task()) {
                 return;
             }
-            self.tick();
+            wait(self);
         }
-        panic!("{:?} instead of {task:?}", self.grip.task());
+        panic!("{:?} after 20 s", self.grip.task());
     }
 
     pub fn setpoint(&self) -> Setpoint {

@@ -268,9 +268,7 @@ fn load_on_a_backdrivable_screw_is_held_without_force_control() {
         };
         let mut rig = held();
         rig.estimates = Some([Estimate::MISSING; 4]);
-        while rig.grip.task() != TaskState::HoldFrozen {
-            rig.rest(40.0, 0.0);
-        }
+        rig.rest_until(|task| task == TaskState::HoldFrozen);
         let expected = Setpoint::Position { opening_mm: 40.0, speed_mm_s: 5.0, max_a: hold_a };
         assert_eq!(rig.setpoint(), expected);
         let mut rig = held();

@@ -271,9 +271,7 @@ fn raised_force_returns_after_two_seconds_without_a_slip() {
             rig.rest(40.0, 0.0);
         }
         rig.corrupt = Some(DRAG);
-        while rig.grip.task() == TaskState::HoldActive {
-            rig.rest(40.0, 0.0);
-        }
+        rig.rest_until(|task| task != TaskState::HoldActive);
         rig.corrupt = None;
         rig.press(24.0);
         let mut last = TaskState::Force;
@@ -709,9 +707,7 @@ fn object_field_tells_motion_contact_and_position_apart() {
 fn current_of_a_latched_hold_ends_after_20_ms() {
     let mut rig = GripRig::gripped(100.0, true, TaskState::HoldActive);
     rig.motor.current_setpoint = Dq { d: 0.0, q: -2.0 };
-    while rig.grip.task() == TaskState::HoldActive {
-        rig.rest(40.0, 0.0);
-    }
+    rig.rest_until(|task| task != TaskState::HoldActive);
     // A ramp of 20 ms.
     for task_ms in 0..20_u8 {
         let Setpoint::Current { closing_a } = rig.setpoint() else {

@@ -204,9 +204,7 @@ fn homing_finds_both_ends_and_rejects_a_short_stroke() {
         // The fingers press on each other.
         rig.object = Some((0.0, 500.0));
         rig.send(mode::HOME, |_| {});
-        while rig.grip.task() == TaskState::Homing {
-            rig.tick();
-        }
+        rig.run_while(TaskState::Homing);
         rig
     };
     let rig = home(80.0);
