@@ -1,8 +1,7 @@
 // Written by `magpie dev export`. Do not edit: fit again and export again.
 // inputs: 3073d599c64a1960d676f98d59ad0217288aae45086cda64ec60a018710d5aeb d7c243dee23521375e395e14ad45718de12d826f3a8eadd760c1019c2492bb22 10a20421994f465d182e2914beb7050059d3f564a69307b440dd9f1b2aea886d neighbour_magnet
 //
-// inputs    9c8a4abb3f881567bf12d6dca865c9d2a64cd3d23a7a66e76550f7cb0246e1af (SHA-256 of the model file)
-// model     fitted parameters, campaign demo
+// model     fitted parameters, campaign demo, SHA-256 of its file 9c8a4abb3f881567bf12d6dca865c9d2a64cd3d23a7a66e76550f7cb0246e1af
 // effects   neighbour_magnet
 // recorded  not stated in recording.toml
 // shape     6 x 6 centres, gamma 1.5944, ridge 1e-8

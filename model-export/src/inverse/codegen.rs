@@ -105,17 +105,16 @@ fn comment(chosen: &SelectedModels, header: &ExportHeader) -> String {
     let mut text = format!(
         "{TABLES_MARK} Do not edit: fit again and export again.\n\
          //\n\
-         // inputs    {} (SHA-256 of the model file)\n\
-         // model     {}, campaign {}\n\
+         // model     {}, campaign {}, SHA-256 of its file {}\n\
          // effects   {}\n\
          // recorded  {recorded}\n\
          {state}\
          // shape     {} x {} centres, gamma {:.4}, ridge {:.0e}\n\
          //\n\
          // Over the design box, in newtons, root mean square / greatest, for Fx and Fz:\n",
-        header.inputs_sha256,
         header.variant,
         header.campaign,
+        header.inputs_sha256,
         if header.effects.is_empty() { "none".to_owned() } else { header.effects.join(", ") },
         chosen.shape.centres_across,
         chosen.shape.centres_across,
