@@ -490,7 +490,7 @@ fn clock_of_microseconds_since_power_on_is_not_one_since_1970() {
 #[test]
 fn proposal_names_what_it_assumes() {
     let proposal = proposal(&table("time,bx,by,bz,force", 1.0, 1.7e12, true));
-    let checks = proposal.checks.join("\n");
+    let checks = proposal.checks.iter().map(|check| format!("{check}\n")).collect::<String>();
     for expected in [
         "bx, by, bz: whole numbers without a unit: taken as raw counts",
         "give gauss_per_lsb",

@@ -115,7 +115,7 @@ pub fn proposal_json(proposal: &Proposal, output: &Path) -> Value {
     json!({
         "mapping": output,
         "columns": columns.collect::<Vec<_>>(),
-        "checks": proposal.checks,
+        "checks": proposal.checks.iter().map(ToString::to_string).collect::<Vec<_>>(),
         "ignored": ignored.collect::<Vec<_>>(),
     })
 }

@@ -8,16 +8,15 @@ mod source;
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
-use std::fmt::Write as _;
+use std::fmt::{self, Write as _};
 use std::path::{Path, PathBuf};
 
 use crate::columns::{Axis, COVARIATES, hall_column};
 use crate::description::parse_toml;
 use crate::error::{DataError, ErrorKind, Location};
 use crate::guess::names::{Group, Quantity};
-use crate::guess::source::{
-    MAX_ROWS, SourceColumn, SourceTable, axis_of, column_groups, numeric, read_source, table_with,
-};
+pub use crate::guess::source::{MAX_ROWS, SourceColumn, SourceTable};
+use crate::guess::source::{axis_of, column_groups, numeric, read_source, table_with};
 use crate::mapping::{Mapping, TableMapping};
 use crate::mcap;
 use crate::units::{find_unit, round_significant};
@@ -34,9 +33,40 @@ pub struct Proposal {
     /// Columns to import.
     pub columns: Vec<ProposedColumn>,
     /// Decisions that the tables do not determine: what to check.
-    pub checks: Vec<String>,
+    pub checks: Vec<Check>,
     /// Columns that are not imported, with the reason.
     pub ignored: Vec<(String, Cow<'static, str>)>,
+}
+
+/// A decision that the tables do not determine.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Check {
+    /// The columns, tables or files that it is about; none where it is about all of them.
+    pub about: Vec<String>,
+    /// What was assumed.
+    pub text: String,
+}
+
+impl fmt::Display for Check {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let text = &self.text;
+        match self.about.as_slice() {
+            [] => f.write_str(text),
+            [first, .., last] if self.about.len() > 3 => {
+                write!(f, "{first} to {last} ({} columns): {text}", self.about.len())
+            }
+            names => write!(f, "{}: {text}", names.join(", ")),
+        }
+    }
+}
+
+/// What the sources hold, also where no mapping can be proposed.
+#[derive(Debug)]
+pub struct Survey {
+    /// Tables of the first source.
+    pub tables: Vec<SourceTable>,
+    /// A mapping, or why none is proposed.
+    pub proposal: Result<Proposal, DataError>,
 }
 
 /// A column to import.
@@ -61,16 +91,30 @@ pub struct ProposedColumn {
 /// # Errors
 /// A source cannot be read, has no field, or has other columns than the first.
 pub fn propose(sources: &[PathBuf]) -> Result<Proposal, DataError> {
-    if let Some(first) = sources.first().filter(|first| mcap::is_bag(first))
-        && let Some(text) = mcap::stated_mapping(first)?
-    {
-        return stated(first, text);
-    }
+    stated(sources)?.map_or_else(|| of_tables(&read(sources)?), Ok)
+}
+
+/// Reads `sources` and proposes a mapping for them.
+///
+/// # Errors
+/// A source cannot be read.
+pub fn survey(sources: &[PathBuf]) -> Result<Survey, DataError> {
+    let recordings = read(sources)?;
+    let proposal = stated(sources)?.map_or_else(|| of_tables(&recordings), Ok);
+    Ok(Survey { tables: recordings.into_iter().next().unwrap_or_default(), proposal })
+}
+
+fn read(sources: &[PathBuf]) -> Result<Vec<Vec<SourceTable>>, DataError> {
     let mut recordings: Vec<Vec<SourceTable>> = Vec::new();
     for source in sources {
         let first = recordings.first().map_or(&[][..], Vec::as_slice);
         recordings.push(read_source(source, first)?);
     }
+    Ok(recordings)
+}
+
+/// Proposes a mapping for the tables of each recording.
+fn of_tables(recordings: &[Vec<SourceTable>]) -> Result<Proposal, DataError> {
     let Some((first, others)) = recordings.split_first() else {
         return Ok(Proposal {
             text: String::new(),
@@ -156,12 +200,13 @@ pub fn propose(sources: &[PathBuf]) -> Result<Proposal, DataError> {
     for (name, reason) in &draft.ignored {
         let _ = writeln!(text, "# Not imported: {} ({reason})", quoted(name));
     }
-    let checks = draft.checks();
-    Ok(Proposal { text, columns: draft.columns, checks, ignored: draft.ignored })
+    Ok(Proposal { text, columns: draft.columns, checks: draft.checks, ignored: draft.ignored })
 }
 
-/// The mapping that a file states of itself: nothing is to be checked.
-fn stated(path: &Path, text: String) -> Result<Proposal, DataError> {
+/// The mapping that the first source states of itself, if it does: nothing is to be checked.
+fn stated(sources: &[PathBuf]) -> Result<Option<Proposal>, DataError> {
+    let Some(path) = sources.first().filter(|first| mcap::is_bag(first)) else { return Ok(None) };
+    let Some(text) = mcap::stated_mapping(path)? else { return Ok(None) };
     let mapping: Mapping = parse_toml(path, &text)?;
     let of_table = |table: &TableMapping| table.columns.clone();
     let all = of_table(&mapping.hall).into_iter().chain(of_table(&mapping.force));
@@ -178,7 +223,7 @@ fn stated(path: &Path, text: String) -> Result<Proposal, DataError> {
         })
     });
     let columns = columns.collect();
-    Ok(Proposal { text, columns, checks: Vec::new(), ignored: Vec::new() })
+    Ok(Some(Proposal { text, columns, checks: Vec::new(), ignored: Vec::new() }))
 }
 
 /// The nominal design as a comment.
@@ -290,34 +335,24 @@ struct ClockColumn {
 #[derive(Default)]
 struct Draft {
     columns: Vec<ProposedColumn>,
-    /// Names of columns, and what to check of all of them; no names where it is the whole file.
-    checks: Vec<(Vec<String>, String)>,
+    checks: Vec<Check>,
     ignored: Vec<(String, Cow<'static, str>)>,
 }
 
 impl Draft {
     fn check(&mut self, text: impl Into<String>) {
-        self.checks.push((Vec::new(), text.into()));
+        self.checks.push(Check { about: Vec::new(), text: text.into() });
     }
 
     fn check_column(&mut self, name: &str, text: &str) {
-        match self.checks.iter_mut().find(|(names, own)| own == text && !names.is_empty()) {
-            Some((names, _)) if names.iter().any(|own| own == name) => {}
-            Some((names, _)) => names.push(name.to_owned()),
-            None => self.checks.push((vec![name.to_owned()], text.to_owned())),
-        }
-    }
-
-    /// What to check, one line each.
-    fn checks(&self) -> Vec<String> {
-        let line = |(names, text): &(Vec<String>, String)| match names.as_slice() {
-            [] => text.clone(),
-            [first, .., last] if names.len() > 3 => {
-                format!("{first} to {last} ({} columns): {text}", names.len())
+        let mut known = self.checks.iter_mut();
+        match known.find(|check| check.text == text && !check.about.is_empty()) {
+            Some(Check { about, .. }) if about.iter().any(|own| own == name) => {}
+            Some(Check { about, .. }) => about.push(name.to_owned()),
+            None => {
+                self.checks.push(Check { about: vec![name.to_owned()], text: text.to_owned() });
             }
-            _ => format!("{}: {text}", names.join(", ")),
-        };
-        self.checks.iter().map(line).collect()
+        }
     }
 
     fn is_used(&self, name: &str) -> bool {
@@ -741,8 +776,8 @@ fn head(first: &[SourceTable], draft: &Draft, one_clock: bool) -> String {
     });
     text.push_str(&names.collect::<Vec<_>>().join(" and "));
     text.push_str(".\n# Please check:\n");
-    for check in draft.checks() {
-        let _ = writeln!(text, "#   {}", check.replace(|c: char| c.is_control(), " "));
+    for check in &draft.checks {
+        let _ = writeln!(text, "#   {}", check.to_string().replace(|c: char| c.is_control(), " "));
     }
     let _ = writeln!(text, "\ndescription = \"\"\none_clock = {one_clock}");
     if !one_clock {

@@ -19,25 +19,67 @@ const MISSING_MARKERS: [f64; 5] = [-1.0, -99.0, -999.0, -9999.0, -32768.0];
 /// Share of the rows from which such a value is proposed as a marker.
 const MISSING_SHARE: f64 = 0.01;
 
+/// Stretches of rows that a [`Trace`] has at most.
+const MAX_STRETCHES: usize = 240;
+
+/// Minimum and maximum of stretches of equally many values, for a plot.
+#[derive(Clone, Debug, Default)]
+pub struct Trace {
+    /// In the order of the rows.
+    pub stretches: Vec<(f64, f64)>,
+    /// Each stretch but the last holds two to this power of values.
+    doublings: u32,
+    in_last: u64,
+}
+
+impl Trace {
+    fn add(&mut self, value: f64) {
+        let whole = 1 << self.doublings;
+        match self.stretches.last_mut() {
+            Some((min, max)) if self.in_last < whole => {
+                *min = min.min(value);
+                *max = max.max(value);
+                self.in_last += 1;
+                return;
+            }
+            _ => {}
+        }
+        if self.stretches.len() == MAX_STRETCHES {
+            let pairs = self.stretches.chunks(2);
+            let merged = pairs.map(|pair| {
+                let ends = |a: (f64, f64), b: &(f64, f64)| (a.0.min(b.0), a.1.max(b.1));
+                pair.iter().fold((f64::INFINITY, f64::NEG_INFINITY), ends)
+            });
+            self.stretches = merged.collect();
+            self.doublings += 1;
+        }
+        self.stretches.push((value, value));
+        self.in_last = 1;
+    }
+}
+
 /// A column of a source with its values.
 #[derive(Clone, Debug)]
 pub struct SourceColumn {
+    /// Name in the header, or topic and path in a bag.
     pub name: String,
-    pub stated: ColumnName,
-    pub quantity: Quantity,
+    pub(crate) stated: ColumnName,
+    pub(crate) quantity: Quantity,
     /// Cells with a number, and with text.
     numbers: u64,
     texts: u64,
     /// Line and content of the first cell with text.
     first_text: Option<(u64, String)>,
-    pub min: f64,
-    pub max: f64,
-    pub first: f64,
-    pub last: f64,
-    pub is_whole: bool,
-    pub is_ascending: bool,
+    pub(crate) min: f64,
+    pub(crate) max: f64,
+    pub(crate) first: f64,
+    pub(crate) last: f64,
+    pub(crate) is_whole: bool,
+    pub(crate) is_ascending: bool,
     /// Steps of the first rows.
-    pub steps: Vec<f64>,
+    pub(crate) steps: Vec<f64>,
+    /// Values of the examined rows.
+    pub trace: Trace,
     /// Number of rows with each of [`MISSING_MARKERS`], and the minimum of all other values.
     markers: [u64; MISSING_MARKERS.len()],
     min_unmarked: f64,
@@ -46,11 +88,15 @@ pub struct SourceColumn {
 /// A table of a source.
 #[derive(Clone, Debug)]
 pub struct SourceTable {
+    /// Path of the file.
     pub path: PathBuf,
+    /// Whether it is one of the tables of a folder.
     pub is_in_folder: bool,
     /// How the table is read, where it has another format than those of this project.
-    pub notes: Vec<String>,
+    pub(crate) notes: Vec<String>,
+    /// Examined rows.
     pub rows: u64,
+    /// In the order of the table.
     pub columns: Vec<SourceColumn>,
 }
 
@@ -230,6 +276,7 @@ impl SourceColumn {
             is_whole: true,
             is_ascending: true,
             steps: Vec::new(),
+            trace: Trace::default(),
             markers: [0; MISSING_MARKERS.len()],
             min_unmarked: f64::INFINITY,
         }
@@ -257,6 +304,7 @@ impl SourceColumn {
             }
         }
         self.last = value;
+        self.trace.add(value);
         self.min = self.min.min(value);
         self.max = self.max.max(value);
         self.is_whole &= value.fract() == 0.0;
@@ -264,6 +312,11 @@ impl SourceColumn {
             Some(index) => self.markers[index] += 1,
             None => self.min_unmarked = self.min_unmarked.min(value),
         }
+    }
+
+    /// Unit that the name states.
+    pub fn unit(&self) -> Option<&'static str> {
+        self.stated.unit.map(|unit| unit.name)
     }
 
     /// True if every cell is a number, empty, or not finite.
@@ -279,12 +332,12 @@ impl SourceColumn {
         }
     }
 
-    pub fn is_constant(&self) -> bool {
+    pub(crate) fn is_constant(&self) -> bool {
         self.min == self.max
     }
 
     /// Marker of missing measurements: a lone value below all others.
-    pub fn missing(&self) -> Option<f64> {
+    pub(crate) fn missing(&self) -> Option<f64> {
         let is_marker = |(marker, count): (&f64, &u64)| {
             *count as f64 >= MISSING_SHARE * self.numbers as f64
                 && *marker < self.min_unmarked
@@ -302,7 +355,7 @@ impl SourceColumn {
         (if self.missing().is_some() { self.min_unmarked } else { self.min }, self.max)
     }
 
-    pub fn magnitude(&self) -> f64 {
+    pub(crate) fn magnitude(&self) -> f64 {
         let (min, max) = self.range();
         min.abs().max(max.abs())
     }
