@@ -1,15 +1,14 @@
 //! `magpie workbench`: a page on this machine in which models of a campaign are built and compared.
 
+mod choice;
 mod live;
 
-use std::collections::BTreeSet;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use analysis::diagnose::Diagnosis;
-use analysis::edit_model::parse_formulas;
 use analysis::workbench::{Interval, Workbench, WorkbenchModel};
 use anyhow::{Context, Result, anyhow, bail};
 use axum::extract::{Query, Request, State};
@@ -22,7 +21,7 @@ use model_export::effects::EffectTerm;
 use model_export::fit::FitOptions;
 use model_export::inverse::build::{DeviceModel, ModelVariant, build_model};
 use model_export::inverse::codegen::tables_source;
-use model_export::model_file::{self, BaseKind, ModelFile, TABLES_MARK};
+use model_export::model_file::{self, ModelFile, TABLES_MARK};
 use model_export::output::{Output, Overwrite};
 use model_export::recordings::align::Alignment;
 use model_export::recordings::campaign::{fingerprints, recording_folders};
@@ -32,10 +31,11 @@ use report::text::{findings, terminal};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-use crate::commands::args::{FitArgs, parse_range};
+use crate::commands::args::FitArgs;
 use crate::commands::connection::{PortArgs, ReferenceArgs, default_virtual_board};
 use crate::commands::diagnose::{plan_output, write_plan_file};
 use crate::commands::output::check_compensated;
+use crate::commands::workbench::choice::Choice;
 use crate::commands::workbench::live::{LiveGripper, RecordRequest};
 use device::http::{Place, read_body, refuse, serve, single};
 use device::reference::ReferenceSource;
@@ -360,13 +360,6 @@ impl Drop for StopOnDrop {
     }
 }
 
-/// Effects of the catalogue and formulas of a model. Ranges of a formula follow it after semicolons.
-#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
-struct Choice {
-    effects: Vec<String>,
-    formulas: Vec<String>,
-}
-
 #[derive(Deserialize)]
 struct ModelRequest {
     #[serde(flatten)]
@@ -532,81 +525,6 @@ fn conditions(built: &DeviceModel) -> String {
         format!(" The board compensates {effect} {}.", conditions.join("; "))
     });
     sentence.collect()
-}
-
-impl Choice {
-    /// Formula and ranges of each formula.
-    fn parts(&self) -> impl Iterator<Item = (&str, Vec<&str>)> {
-        self.formulas.iter().map(|text| {
-            let mut parts = text.split(';').map(str::trim);
-            (parts.next().unwrap_or_default(), parts.collect())
-        })
-    }
-
-    /// The commands that fit, evaluate and export this model.
-    fn commands(
-        &self,
-        campaign: &Path,
-        base: BaseKind,
-        alignment: Alignment,
-        seed: u64,
-    ) -> Vec<String> {
-        let campaign = campaign.display().to_string();
-        let line = |words: &[&str]| shell_words::join(["cargo", "magpie"].iter().chain(words));
-        let (delay_ms, seed) = (format!("{}", alignment.delay_us / 1e3), seed.to_string());
-        let delay: &[&str] =
-            if alignment.delay_us == 0.0 { &[] } else { &["--delay-ms", &delay_ms] };
-        let seed: &[&str] = if seed == "1" { &[] } else { &["--seed", &seed] };
-        let polynomial: &[&str] =
-            if base == BaseKind::Polynomial { &["--base", "polynomial"] } else { &[] };
-        let fit = ["fit", &campaign, "-o", "base.toml"];
-        let mut commands = vec![line(&[&fit[..], polynomial, delay, seed].concat())];
-        let mut model = "base.toml";
-        if !self.effects.is_empty() || !self.formulas.is_empty() {
-            let mut words = vec!["add", model, campaign.as_str()];
-            words.extend(self.effects.iter().map(String::as_str));
-            for (formula, ranges) in self.parts() {
-                words.extend(["--expr", formula]);
-                words.extend(ranges.into_iter().flat_map(|range| ["--range", range]));
-            }
-            words.extend(["-o", "model.toml"]);
-            commands.push(line(&[&words[..], seed].concat()));
-            model = "model.toml";
-        }
-        for words in [
-            ["compare", model, &campaign, "-o", "report.html"],
-            ["diagnose", model, &campaign, "--plan", "plan.toml"],
-        ] {
-            commands.push(line(&[&words[..], seed].concat()));
-        }
-        commands.push(line(&["replay", model, &campaign]));
-        commands.push(line(&["dev", "export", model, "-o", "tables.rs"]));
-        commands
-    }
-
-    /// The effects and formulas.
-    fn terms(&self, bench: &Workbench) -> Result<Vec<EffectTerm>> {
-        let mut formulas = Vec::new();
-        let mut parameters = BTreeSet::new();
-        for (formula, ranges) in self.parts() {
-            let parsed = ranges
-                .into_iter()
-                .map(|range| parse_range(range).map_err(|error| anyhow!("{range}: {error}")));
-            let ranges = parsed.collect::<Result<Vec<_>>>()?;
-            for range in &ranges {
-                // The options of a command have one range for each name.
-                if !parameters.insert(range.name.clone()) {
-                    bail!(
-                        "two formulas have a parameter {}: give them different names",
-                        range.name
-                    );
-                }
-            }
-            let columns = bench.covariates();
-            formulas.extend(parse_formulas(&[formula.to_owned()], &ranges, &columns)?);
-        }
-        analysis::edit_model::find_effects(&self.effects, &formulas)
-    }
 }
 
 /// Opens the campaign; setup errors that prevent any result are the error.
