@@ -10,7 +10,7 @@ use crate::columns::{force_column, hall_column};
 use crate::description::{NominalDesign, parse_toml};
 use crate::error::{DataError, ErrorKind, Location, closest_match};
 use crate::input::{self, MAX_COLUMNS, MAX_START_S, plausible_range};
-use crate::units::{UNITS, column_unit, find_unit};
+use crate::units::{UNITS, Unit, column_unit, find_unit};
 
 /// Content of a mapping file.
 #[derive(Clone, Debug, Deserialize, Serialize)]
@@ -247,14 +247,18 @@ pub(super) fn conversion_factor(
         let kind = ErrorKind::bad_value(format!("the unit {unit:?}"), advice);
         Err(kind.at(Location::file(path).column(key)))
     };
-    let names = || UNITS.iter().map(|unit| unit.name);
+    let wanted = column_unit(to);
+    let is_accepted = |unit: &&Unit| wanted.is_none_or(|wanted| unit.canonical == wanted);
+    let names = || UNITS.iter().filter(is_accepted).map(|unit| unit.name);
     let Some(unit_spec) = find_unit(unit) else {
-        let hint = closest_match(unit, names())
+        let written = Some(unit).filter(|unit| !unit.is_empty());
+        let hint = written
+            .and_then(|unit| closest_match(unit, names()))
             .map_or_else(String::new, |name| format!("did you mean {name:?}? "));
         let names = names().collect::<Vec<_>>().join(", ");
         return bad_unit(format!("{hint}accepted units: {names}"));
     };
-    if column_unit(to) != Some(unit_spec.canonical) {
+    if wanted != Some(unit_spec.canonical) {
         let canonical = unit_spec.canonical;
         return bad_unit(format!("{to} is not in a unit that {unit:?} converts to ({canonical})"));
     }
