@@ -2,15 +2,19 @@
 """The workbench in a real browser: usage check_workbench.py MAGPIE FOLDER
 
 Adds effects and formulas, undoes and redoes, compares, writes; a wrong formula, a second tab, a campaign that is removed
-meanwhile. Nothing may be written to the console, and the page may not scroll sideways. Leaves screenshots in FOLDER.
+meanwhile. Tables of another logger become a campaign and a model. Nothing may be written to the console, and the page may not
+scroll sideways. Leaves screenshots in FOLDER.
 """
 
 import contextlib
+import csv
+import gzip
 import json
 import shutil
 import subprocess
 import sys
 import tempfile
+import time
 from itertools import product
 from pathlib import Path
 
@@ -20,6 +24,7 @@ from playwright.sync_api import expect
 MAGPIE, PICTURES = sys.argv[1], Path(sys.argv[2])
 # Colours on each screen.
 SCHEMES = {"laptop": "light", "telephone": "dark"}
+DATA = Path("tests/data")
 RIPPLE = "own: dz_um = a*sin(motor_angle_rad) + b*cos(motor_angle_rad)"
 # Whether a model with these effects is shown.
 IS_SHOWN = """expected => {
@@ -29,12 +34,41 @@ IS_SHOWN = """expected => {
 HAS_TEXT = "([selector, text]) => document.querySelector(selector).innerText.includes(text)"
 
 
+# Column of another logger, and that of the recording with its factor.
+FOREIGN = {"t [ms]": ("t_us", 1e-3), "Temp0": ("s0_temp_c", 1), "width (um)": ("opening_mm", 1e3)}
+FOREIGN |= {f"Mag0{axis} [mT]": (f"s0_{axis}_lsb", 0.0125) for axis in "xyz"}
+FOREIGN |= {f"Load0_{axis} (g)": (f"f0_{axis}_n", 1 / 9.80665e-3) for axis in "xz"}
+DESIGN = {"gap_mm": 1.5, "stiffness_x_n_per_mm": 500, "stiffness_z_n_per_mm": 800, "force_range_n": 250}
+DESIGN |= {"diameter_mm": 3, "length_mm": 2, "remanence_t": 1.2}
+
+
+def foreign_tables(campaign, folder):
+    """The first sensor of each recording, with both sides in one table."""
+    names = []
+    for recording in sorted((DATA / campaign).iterdir()):
+        tables = []
+        for side in ("hall", "force"):
+            with gzip.open(recording / f"{side}.csv.gz", "rt") as file:
+                tables.append(list(csv.DictReader(file)))
+        forces = {row["t_us"]: row for row in tables[1]}
+        names.append(f"run{recording.name}.csv")
+        with open(folder / names[-1], "w") as file:
+            writer = csv.writer(file, delimiter=";")
+            writer.writerow(FOREIGN)
+            for row in tables[0]:
+                both = row | forces.get(row["t_us"], {})
+                writer.writerow([format(float(both[of]) * factor, ".5f") if of in both else "" for of, factor in FOREIGN.values()])
+    return names
+
+
 @contextlib.contextmanager
-def server(campaign, *options):
+def server(campaign, *options, is_foreign=False):
     """Folder and address of `magpie workbench` in a folder of its own."""
     with tempfile.TemporaryDirectory() as name:
-        shutil.copytree(Path("tests/data") / campaign, f"{name}/campaign")
-        command = [MAGPIE, "workbench", "campaign", "--json", *options]
+        folder = Path(name)
+        shutil.copytree(DATA / campaign, folder / "campaign")
+        paths = foreign_tables(campaign, folder) if is_foreign else ["campaign"]
+        command = [MAGPIE, "workbench", *paths, "--json", *options]
         with subprocess.Popen(command, cwd=name, stdout=subprocess.PIPE, text=True) as process:
             try:
                 yield Path(name), json.loads(process.stdout.readline())["url"]
@@ -43,9 +77,10 @@ def server(campaign, *options):
 
 
 class Tab(Page):
-    def __init__(self, browser, url, screen="laptop"):
+    def __init__(self, browser, url, screen="laptop", has_model=True):
         super().__init__(browser, url, "/".join(url.split("/")[:3]), screen, SCHEMES[screen])
-        self.wait_for_model()
+        if has_model:
+            self.wait_for_model()
 
     def wait_for_model(self, *effects):
         self.page.wait_for_function(IS_SHOWN, arg=",".join(effects))
@@ -205,14 +240,51 @@ def live(tab, folder, screen):
     page.wait_for_timeout(1000)
 
 
-CHECKS = ((effects, "friction"), (formula, "ripple"), (live, "ripple", "--virtual"))
+def imports(tab, folder, screen):
+    page, began = tab.page, time.monotonic()
+    tab.check(page.locator("#columns svg path").count() == len(FOREIGN), "not a plot of each column")
+    page.select_option("[name=geometry]", "known")
+    tab.check_width()
+    page.click("#import")
+    tab.check(not list(folder.glob("*campaign-*")), "imported without a gap")
+    for name, value in DESIGN.items():
+        page.fill(f"[name={name}]", str(value))
+    tab.picture(f"import-{screen}")
+    page.fill("[name=campaign]", "campaign")
+    tab.expected_errors = 1
+    page.click("#import")
+    tab.wait_for_text("#error", "it is not overwritten")
+    tab.check("wrong" in page.locator("label:has([name=campaign])").get_attribute("class"), "the field is not marked")
+    page.fill("[name=campaign]", "bench")
+    page.click("#import")
+    # Without notes the workbench appears by itself.
+    page.wait_for_selector("#open:visible, #present")
+    if page.is_visible("#open"):
+        tab.picture(f"imported-{screen}")
+        page.click("#open")
+    tab.wait_for_model()
+    page.click("#diagnose")
+    page.click("#diagnosis-result li button:has-text('Add hysteresis')")
+    tab.wait_for_model("hysteresis")
+    page.click("#write-form button")
+    tab.wait_for_text("#written", "model.toml")
+    print(f"from tables to a model: {time.monotonic() - began:.0f} s")
+    tab.check((folder / "bench.mapping.toml").exists(), "no mapping file")
+    commands = page.text_content("#commands").splitlines()
+    tab.check(commands[0].startswith("cargo magpie import bench.mapping.toml run1.csv"), f"commands: {commands}")
+    again = commands[0].replace("cargo magpie", MAGPIE).replace("-o bench", "-o again")
+    subprocess.run(again, shell=True, cwd=folder, check=True, capture_output=True)
+
+
+CHECKS = ((effects, "friction"), (formula, "ripple"), (live, "ripple", "--virtual"), (imports, "friction"))
 good = True
 PICTURES.mkdir(parents=True, exist_ok=True)
 with chromium() as browser:
     for (check, *options), screen in product(CHECKS, SCHEMES):
         try:
-            with server(*options) as (folder, url):
-                tab = Tab(browser, url, screen)
+            is_foreign = check is imports
+            with server(*options, is_foreign=is_foreign) as (folder, url):
+                tab = Tab(browser, url, screen, has_model=not is_foreign)
                 check(tab, folder, screen)
             wrong = tab.wrong
         except Exception as error:  # The other checks still say something.

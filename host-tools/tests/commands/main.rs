@@ -15,5 +15,7 @@ mod simulate;
 mod tutorials;
 #[cfg(unix)]
 mod workbench;
+#[cfg(unix)]
+mod workbench_import;
 #[path = "../workdir/mod.rs"]
 mod workdir;

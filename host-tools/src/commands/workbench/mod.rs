@@ -1,11 +1,12 @@
 //! `magpie workbench`: a page on this machine in which models of a campaign are built and compared.
 
 mod choice;
+mod import;
 mod live;
 
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::Duration;
 
 use analysis::diagnose::Diagnosis;
@@ -24,7 +25,7 @@ use model_export::inverse::codegen::tables_source;
 use model_export::model_file::{self, ModelFile, TABLES_MARK};
 use model_export::output::{Output, Overwrite};
 use model_export::recordings::align::Alignment;
-use model_export::recordings::campaign::{fingerprints, recording_folders};
+use model_export::recordings::campaign::fingerprints;
 use model_export::stop::{self, Stop};
 use report::html::{diagnosis, workbench as pages};
 use report::text::{findings, terminal};
@@ -36,6 +37,7 @@ use crate::commands::connection::{PortArgs, ReferenceArgs, default_virtual_board
 use crate::commands::diagnose::{plan_output, write_plan_file};
 use crate::commands::output::check_compensated;
 use crate::commands::workbench::choice::Choice;
+use crate::commands::workbench::import::{Opened, campaign_of};
 use crate::commands::workbench::live::{LiveGripper, RecordRequest};
 use device::http::{Place, read_body, refuse, serve, single};
 use device::reference::ReferenceSource;
@@ -45,6 +47,7 @@ use device::reference::ReferenceSource;
 #[command(after_help = "\
 Examples:
   cargo magpie workbench tests/data/friction
+  cargo magpie workbench run1.csv run2.csv run3.csv    # tables of other loggers: imports them first
   cargo magpie workbench my-campaign --port /dev/ttyACM0    # with the forces of the gripper
   cargo magpie workbench my-campaign --port /dev/ttyACM0 --reference /dev/ttyUSB0 --reference-map load-cell.toml
   cargo magpie workbench tests/data/demo --virtual          # without hardware
@@ -55,8 +58,9 @@ relative to this folder; those of this tool are replaced. After a semicolon a fo
 its nonlinear parameters:
 own: dz_um = a*sin(2*pi*opening_mm/p); p=2..5")]
 pub struct Args {
-    /// Folder of recordings (or one recording).
-    campaign: PathBuf,
+    /// Folder of recordings (or one recording); or tables or bags of other programs, one for each recording, which the page imports.
+    #[arg(required = true, value_name = "CAMPAIGN")]
+    paths: Vec<PathBuf>,
     /// TCP port on 127.0.0.1; 0 selects a free one.
     #[arg(long, value_name = "PORT", default_value_t = 0)]
     http_port: u16,
@@ -87,7 +91,7 @@ const CANCELLED: Conflict = Conflict("cancelled");
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
     let alignment = args.fit.align.alignment()?;
-    recording_folders(&args.campaign)?;
+    let campaign = campaign_of(&args.paths)?.map_or_else(OnceLock::new, OnceLock::from);
     let source =
         if args.is_virtual { Some(default_virtual_board()?) } else { args.gripper.open()? };
     let reference = args.reference.read()?;
@@ -125,7 +129,8 @@ pub fn run(args: &Args) -> Result<()> {
             computing: Arc::default(),
             diagnosis: Arc::default(),
             live: live.map(Arc::new),
-            campaign: Arc::new(args.campaign.clone()),
+            campaign: Arc::new(campaign),
+            sources: args.paths.clone().into(),
             alignment,
             options: args.fit.options(),
             token: token.into(),
@@ -151,16 +156,25 @@ struct Server {
     /// The last diagnosis, and the model of which it is.
     diagnosis: Arc<Mutex<Option<(Choice, Diagnosis)>>>,
     live: Option<Arc<LiveGripper>>,
-    campaign: Arc<PathBuf>,
+    /// Absent until the tables are imported.
+    campaign: Arc<OnceLock<Opened>>,
+    sources: Arc<[PathBuf]>,
     alignment: Alignment,
     options: FitOptions,
     token: Arc<str>,
     host: Arc<str>,
 }
 
+impl Server {
+    fn opened(&self) -> Result<&Opened> {
+        self.campaign.get().context("there is no campaign yet: import the tables on the page")
+    }
+}
+
 fn router(server: Server) -> Router {
     Router::new()
         .route("/", get(page))
+        .route("/import", post(import::import))
         .route("/model", post(model))
         .route("/names", post(names))
         .route("/diagnose", post(diagnose))
@@ -217,7 +231,14 @@ async fn page(State(server): State<Server>) -> Response {
         return refuse(StatusCode::INTERNAL_SERVER_ERROR, "The system has no random numbers.\n");
     };
     let policy = format!("{CONTENT_POLICY}; script-src 'nonce-{nonce}'; {PAGE_POLICY}");
-    let page = pages::page(&server.campaign.display().to_string(), server.live.is_some(), &nonce);
+    let Some(opened) = server.campaign.get() else {
+        let page = tokio::task::spawn_blocking(move || import::page(&server.sources, &nonce)).await;
+        return match page {
+            Ok(page) => ([(header::CONTENT_SECURITY_POLICY, policy)], Html(page)).into_response(),
+            Err(_) => refuse(StatusCode::INTERNAL_SERVER_ERROR, "The tables cannot be shown.\n"),
+        };
+    };
+    let page = pages::page(&opened.campaign.display().to_string(), server.live.is_some(), &nonce);
     ([(header::CONTENT_SECURITY_POLICY, policy)], Html(page)).into_response()
 }
 
@@ -402,11 +423,12 @@ enum Kind {
 }
 
 async fn model(State(server): State<Server>, Json(request): Json<ModelRequest>) -> Response {
-    let (campaign, alignment, seed) =
-        (server.campaign.clone(), server.alignment, server.options.seed);
+    let (alignment, seed) = (server.alignment, server.options.seed);
     answer(server, move |job, bench| {
         let (shown, baseline) = request.fit(job, bench)?;
-        let commands = request.choice.commands(&campaign, bench.base(), alignment, seed);
+        let opened = job.server.opened()?;
+        let fit = request.choice.commands(&opened.campaign, bench.base(), alignment, seed);
+        let commands: Vec<String> = opened.import.iter().cloned().chain(fit).collect();
         Ok(pages::state(bench, &shown, baseline.as_deref(), &commands))
     })
     .await
@@ -456,8 +478,9 @@ async fn scatter(State(server): State<Server>, Json(request): Json<ScatterReques
 
 async fn write(State(server): State<Server>, Json(request): Json<WriteRequest>) -> Response {
     let last = lock(&server.diagnosis).clone();
-    let (campaign, live) = (server.campaign.clone(), server.live.clone());
+    let live = server.live.clone();
     answer(server, move |job, bench| {
+        let campaign = &job.server.opened()?.campaign;
         let (shown, baseline) = request.model.fit(job, bench)?;
         let path = &request.path;
         let message = match request.kind {
@@ -471,7 +494,7 @@ async fn write(State(server): State<Server>, Json(request): Json<WriteRequest>) 
                 let own = last.filter(|(choice, _)| *choice == request.model.choice);
                 let sections =
                     own.map_or_else(Vec::new, |(_, of_model)| diagnosis::sections(&of_model));
-                let inputs = fingerprints(&campaign)?;
+                let inputs = fingerprints(campaign)?;
                 report::html::write(
                     &Output::check(path, report::html::MARK, inputs, Overwrite::NEVER)?,
                     &pages::with_baseline(&shown, baseline.as_deref()),
@@ -489,7 +512,7 @@ async fn write(State(server): State<Server>, Json(request): Json<WriteRequest>) 
                 let plan = plan.map(|proposal| proposal.plan).filter(|plan| !plan.steps.is_empty());
                 let plan =
                     plan.context("there is no plan yet: \"Plan the next recording\" makes one")?;
-                write_plan_file(&plan_output(path, &campaign, Overwrite::NEVER)?, &plan, &campaign)?
+                write_plan_file(&plan_output(path, campaign, Overwrite::NEVER)?, &plan, campaign)?
             }
             Kind::Tables => {
                 let inputs = shown.model.file.inputs();
@@ -529,7 +552,7 @@ fn conditions(built: &DeviceModel) -> String {
 
 /// Opens the campaign; setup errors that prevent any result are the error.
 fn open(server: &Server) -> Result<Workbench> {
-    let opened = Workbench::open(&server.campaign, server.alignment, server.options)?;
+    let opened = Workbench::open(&server.opened()?.campaign, server.alignment, server.options)?;
     opened.map_err(|findings| {
         let stops = findings.iter().filter(|finding| finding.stops);
         let messages =

@@ -1,6 +1,8 @@
 //! The page of the workbench: effects and formulas to choose from on the left, the force error on top, and the sections of the
 //! comparison, which the page replaces with each model.
 
+pub mod import;
+
 use analysis::compare::Comparison;
 use analysis::diagnose::{Diagnosis, Verdict};
 use analysis::numbers;
