@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use model_export::recordings::align::Alignment;
 use model_export::recordings::columns::Axis;
 use model_export::recordings::description::TimeOrigin;
-use model_export::recordings::guess::{Proposal, propose};
+use model_export::recordings::guess::{Proposal, propose, survey};
 use model_export::recordings::import::import;
 use model_export::recordings::mapping::Mapping;
 use model_export::recordings::{Campaign, DataError};
@@ -653,6 +653,22 @@ fn text_among_numbers_is_refused_with_its_line_and_column() {
         "{:?}",
         proposal.ignored
     );
+}
+
+#[test]
+fn survey_has_the_values_of_a_table_for_which_no_mapping_is_proposed() {
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("source.csv");
+    let rows = (0..1000).map(|i| format!("{i},{}\n", if i == 700 { -5 } else { i % 10 }));
+    fs::write(&path, format!("run,ch0\n{}", rows.collect::<String>())).unwrap();
+    let survey = survey(&[path]).unwrap();
+    assert!(survey.proposal.is_err());
+    let [run, ch0] = survey.tables[0].columns.as_slice() else { panic!("two columns") };
+    assert_eq!((run.name.as_str(), ch0.range()), ("run", (-5.0, 9.0)));
+    // 1000 values in stretches of 8: each has its extremes.
+    let (run, ch0) = (&run.trace.stretches, &ch0.trace.stretches);
+    assert_eq!((run.len(), run[0], run[124]), (125, (0.0, 7.0), (992.0, 999.0)));
+    assert_eq!((ch0[0], ch0[87], ch0[88]), ((0.0, 7.0), (-5.0, 9.0), (0.0, 9.0)));
 }
 
 #[test]
