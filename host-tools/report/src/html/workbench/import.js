@@ -105,12 +105,16 @@
     own.push(...form.querySelectorAll(`[data-column="${CSS.escape(key)}"]`));
     own.push(...["hall", "force"].filter((side) => value(`${side}.from`) === column).map((side) => form.querySelector(`[data-side=${side}]`)));
     if (field(key)) own.push(field(key).parentElement ?? field(key));
-    for (const one of own) one.classList.add("wrong");
+    for (const one of own) {
+      one.classList.add("wrong");
+      one.append(Object.assign(document.createElement("p"), { className: "here", textContent: text.slice(text.indexOf(": ") + 2) }));
+    }
   }
 
   async function send(event) {
     event.preventDefault();
     for (const one of form.querySelectorAll(".wrong")) one.classList.remove("wrong");
+    for (const one of form.querySelectorAll(".here")) one.remove();
     at("error").textContent = "";
     at("result").hidden = true;
     const text = update();
