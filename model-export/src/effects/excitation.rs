@@ -356,7 +356,8 @@ mod tests {
     }
 
     /// The increment of a row does not follow the row's own noise, in slow and in fast stretches: else a lag would average the
-    /// reference's noise. Without the correction the share is 0.2 to 0.3.
+    /// reference's noise. The choice of the windows follows the noise and leaves a share for large delays, of 0.025 for 20 ms; nine
+    /// rows everywhere would leave 0.09 without the correction. A low pass of 30 ms has 0.033.
     #[test]
     fn increment_excludes_the_noise_of_its_own_row() {
         let time_s: Vec<f64> = (0..6000).map(|i| f64::from(i) * 0.01).collect();
@@ -371,7 +372,7 @@ mod tests {
             time_s.iter().zip(noise).map(|(t, noise)| [load(*t) + noise, 0.0]).collect()
         };
         let excitation = ExcitationSeries {
-            smoother: Smoother::new(HALF_WINDOW, &time_s),
+            smoother: Smoother::new(smoothing::HALF_WINDOW, &time_s),
             time_s: time_s.clone(),
             ..ExcitationSeries::default()
         }
@@ -386,9 +387,9 @@ mod tests {
         };
         for delay_s in [0.003, -0.003, 0.02] {
             let share = share(&|t, values, rates| delayed(t, values, rates, delay_s));
-            assert!(share.abs() < 0.01, "{delay_s}: {share}");
+            assert!(share.abs() < 0.005_f64.max(1.5 * delay_s), "{delay_s}: {share}");
         }
         let share = share(&|t, values, _| low_pass(t, values, 0.03));
-        assert!(share.abs() < 0.01, "{share}");
+        assert!(share.abs() < 0.05, "{share}");
     }
 }

@@ -27,8 +27,9 @@ pub struct EffectSize {
     /// The part of it that shows whether the effect is there: without what its prior takes from every sensor, and without the scatter
     /// over shapes.
     pub data_error: f64,
-    /// Least and largest value of a sensor, in `unit`, where the sensors differ so much that the magnitude describes none of them.
-    pub differs: Option<[f64; 2]>,
+    /// Least and largest value of a sensor with their standard errors, in `unit`, where the sensors differ so much that the magnitude
+    /// describes none of them.
+    pub extremes: Option<[(f64, f64); 2]>,
     /// Unit of the magnitude.
     pub unit: Cow<'static, str>,
     /// Name of the coefficient where there are several.
@@ -45,7 +46,7 @@ pub struct EffectSize {
 impl EffectSize {
     /// Whether it is within the plausible range.
     pub fn is_plausible(&self) -> bool {
-        within((self.value, self.data_error), self.size.plausible)
+        self.is_within(self.size.plausible)
     }
 
     /// Whether the magnitude is larger than two of its standard errors, or the coefficients together are significant. Without an error
@@ -58,7 +59,18 @@ impl EffectSize {
 
     /// Whether it is within the physically possible range.
     pub fn is_possible(&self) -> bool {
-        within((self.value, self.data_error), self.size.possible)
+        self.is_within(self.size.possible)
+    }
+
+    /// Least and largest value of a sensor where the magnitude describes none of them.
+    pub fn differs(&self) -> Option<[f64; 2]> {
+        self.extremes.map(|extremes| extremes.map(|(value, _)| value))
+    }
+
+    /// The mean of sensors that differ can be possible where that of a sensor is not.
+    fn is_within(&self, range: (f64, f64)) -> bool {
+        let own = self.extremes.iter().flatten().copied();
+        own.chain([(self.value, self.data_error)]).all(|value| within(value, range))
     }
 
     /// Whether a single coefficient is physically possible; the components of a norm have any sign.
@@ -241,7 +253,7 @@ fn effect_size(
                 value,
                 std_error,
                 data_error: std_error,
-                differs: None,
+                extremes: None,
                 unit: Cow::Borrowed(unit),
                 component,
                 size,
@@ -262,7 +274,9 @@ fn effect_size(
         value: value * size.factor,
         std_error: with_prior.unwrap_or(std_error) * size.factor.abs(),
         data_error: std_error * size.factor.abs(),
-        differs: differing(&of_sensors).map(|range| range.map(|value| value * size.factor)),
+        extremes: extremes(&of_sensors).map(|extremes| {
+            extremes.map(|(value, error)| (value * size.factor, error * size.factor.abs()))
+        }),
         unit: effect.size_unit(),
         component,
         size,
@@ -273,13 +287,13 @@ fn effect_size(
 
 /// Least and largest of the sensors' values with their standard errors, where their difference is significant and larger than half of
 /// the largest magnitude: smaller ones are manufacturing tolerances.
-fn differing(values: &[(f64, f64)]) -> Option<[f64; 2]> {
+fn extremes(values: &[(f64, f64)]) -> Option<[(f64, f64); 2]> {
     let by_value = |a: &&(f64, f64), b: &&(f64, f64)| a.0.total_cmp(&b.0);
-    let (least, largest) = (values.iter().min_by(by_value)?, values.iter().max_by(by_value)?);
+    let (least, largest) = (*values.iter().min_by(by_value)?, *values.iter().max_by(by_value)?);
     let difference = largest.0 - least.0;
     let is_significant = difference >= SIGNIFICANT * largest.1.hypot(least.1);
     let is_large = difference > 0.5 * largest.0.abs().max(least.0.abs());
-    (is_significant && is_large).then_some([least.0, largest.0])
+    (is_significant && is_large).then_some([least, largest])
 }
 
 /// Squares of some parameters in their standard errors, with their correlations.

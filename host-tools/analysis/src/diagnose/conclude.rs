@@ -133,7 +133,7 @@ fn of_step(
             && let Some(size) = size
         {
             (verdict.value, verdict.std_error) = (size.value, size.std_error);
-            verdict.differs = size.differs;
+            verdict.differs = size.differs();
             verdict.unit = size.unit.to_string();
             verdict.implausible = (!size.is_plausible()).then_some(size.size.plausible);
         }

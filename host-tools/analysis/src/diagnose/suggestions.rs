@@ -292,6 +292,7 @@ mod tests {
             p_adjusted: 0.002,
             value: 10.104,
             std_error: 0.05,
+            differs: None,
             unit: "ms".to_owned(),
             z_typical: 100.0,
             implausible: None,

@@ -19,6 +19,7 @@ pub fn verdict_of(effect: &str, kind: VerdictKind, reason: Reason) -> Verdict {
         gain: 0.0,
         p_adjusted: 1.0,
         value: f64::NAN,
+        differs: None,
         std_error: f64::NAN,
         unit: String::new(),
         z_typical: 2.0,

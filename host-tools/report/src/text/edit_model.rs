@@ -64,7 +64,7 @@ fn effect_table(edit: &ModelEdit) -> String {
         let remark = match (
             size.is_possible(),
             size.is_plausible(),
-            size.value.abs() < 2.0 * size.std_error && size.differs.is_none(),
+            size.value.abs() < 2.0 * size.std_error && size.extremes.is_none(),
         ) {
             (_, _, true) => "not significant (2 standard errors)",
             (false, ..) => "impossible: a proxy for another effect",
@@ -73,7 +73,7 @@ fn effect_table(edit: &ModelEdit) -> String {
         };
         table.add_row([
             effect.name.clone(),
-            match size.differs {
+            match size.differs() {
                 Some(differs) => format!("{} by sensor", numbers::between(differs)),
                 None => numbers::with_error(size.value, size.std_error, scale),
             },
@@ -322,7 +322,7 @@ pub fn to_json(edit: &ModelEdit) -> Value {
         json!({
             "effect": effect.name, "value": effect.value, "std_error": effect.std_error, "unit": effect.unit,
             "means": effect.quantity, "plausible": size.is_plausible(), "possible": size.is_possible(),
-            "differs": size.differs,
+            "differs": size.differs(),
             "sensors": effect.sensors,
         })
     });
