@@ -154,22 +154,21 @@ pub fn upload(
     let reply = request(source, op::FINISH_UPLOAD, code.finish(), SLOW_TIMEOUT)?;
     // The code of the bytes is checked before: they arrived as they were sent.
     if (reply.status, reply.detail) == (status::FAILED, UploadError::Corrupt as u32) {
-        let why = unknown_format(&version(source)?);
+        let why = unknown_format(&version(source)?, &firmware_version(0, 0));
         bail!("{}: the gripper refuses: {why}; its calibration is unchanged", source.name());
     }
     done(source, reply)
 }
 
-/// Why the firmware of this version does not know the format, or a table, of a calibration of this tool.
-fn unknown_format(board: &Version) -> String {
-    let own = firmware_version(0, 0);
+/// Why the firmware of this version does not know the format, or a table, of a calibration of a tool of another.
+fn unknown_format(board: &Version, own: &Version) -> String {
     let order = |version: &Version| {
         let Version { firmware_major, firmware_minor, firmware_patch, protocol_minor, .. } =
             *version;
         [firmware_major, firmware_minor, firmware_patch, protocol_minor]
     };
     let firmware = format!("the firmware on the board (version {})", firmware_text(board));
-    match order(board).cmp(&order(&own)) {
+    match order(board).cmp(&order(own)) {
         Ordering::Less => format!(
             "{firmware} is too old for this calibration: flash a newer one with `cargo flash-image`"
         ),
@@ -179,7 +178,7 @@ fn unknown_format(board: &Version) -> String {
         Ordering::Greater => {
             format!(
                 "{firmware} is newer than this tool (version {}): update it",
-                firmware_text(&own)
+                firmware_text(own)
             )
         }
     }
@@ -210,7 +209,7 @@ pub fn reboot_into(source: &mut SessionSource<'_>, tables: u16) -> Result<()> {
             "{}: after its reboot the gripper runs tables {:04x} instead of {tables:04x}: {}",
             source.name(),
             version.tables,
-            unknown_format(&version)
+            unknown_format(&version, &firmware_version(0, 0))
         ),
         None => bail!("{}: the gripper does not answer after its reboot", source.name()),
     }
@@ -469,19 +468,24 @@ mod tests {
 
     #[test]
     fn an_unknown_format_is_due_to_the_version_that_is_behind() {
-        let own = firmware_version(0, 0);
-        let (major, minor, messages) = (own.firmware_major, own.firmware_minor, own.protocol_minor);
+        let of = |[major, minor, messages]: [u8; 3]| Version {
+            firmware_major: major,
+            firmware_minor: minor,
+            protocol_minor: messages,
+            ..Version::default()
+        };
+        let own = of([1, 1, 4]);
         let too_old = "too old for this calibration: flash a newer one with `cargo flash-image`";
-        for (firmware_major, firmware_minor, protocol_minor, expected) in [
-            (major, minor, messages, "of other sources than this tool"),
-            (major, minor - 1, messages + 1, too_old),
-            (major, minor, messages + 1, "newer than this tool"),
-            (major, minor + 1, messages, "newer than this tool"),
-            (major + 1, 0, 0, "newer than this tool"),
+        for (board, expected) in [
+            ([1, 1, 4], "of other sources than this tool"),
+            ([1, 0, 5], too_old),
+            ([1, 1, 3], too_old),
+            ([0, 9, 9], too_old),
+            ([1, 1, 5], "newer than this tool"),
+            ([2, 0, 0], "newer than this tool"),
         ] {
-            let board = Version { firmware_major, firmware_minor, protocol_minor, ..own };
-            let why = unknown_format(&board);
-            let version = format!("on the board (version {firmware_major}.{firmware_minor}.");
+            let why = unknown_format(&of(board), &own);
+            let version = format!("on the board (version {}.{}.", board[0], board[1]);
             assert!(why.contains(expected) && why.contains(&version), "{why}");
         }
     }
