@@ -277,6 +277,11 @@ fn report_states_accepted_equivalent_and_open_effects() {
     assert!(!page.contains("AT NOISE FLOOR") && !page.contains("A question mark"), "{page}");
     let user_defined = verdict_of("my_own", VerdictKind::Found, Reason::ReducesError);
     assert_eq!(magnitude(&user_defined), "");
+    // The mean of sensors that differ describes none of them.
+    let skew = verdict_of("clock_skew", VerdictKind::Found, Reason::ReducesError);
+    let (value, differs) = (1.03, Some([0.002, 1.941]));
+    let skew = Verdict { value, std_error: 0.97, differs, unit: "ms".to_owned(), ..skew };
+    assert_eq!(magnitude(&skew), "0.00 to 1.94 ms by sensor, field after force; typical is 5 ms");
 }
 
 #[test]
