@@ -54,7 +54,7 @@ Examples:
 
 It serves the printed address on this machine only, until Ctrl-C. Only who has the address, which \
 contains a random token, can use it. The page shows the commands that do the same. Files are written \
-relative to this folder; those of this tool are replaced. After a semicolon a formula has the ranges of
+relative to this folder and replace earlier results of the same recordings only. After a semicolon a formula has the ranges of
 its nonlinear parameters:
 own: dz_um = a*sin(2*pi*opening_mm/p); p=2..5")]
 pub struct Args {
