@@ -357,7 +357,7 @@ mod tests {
 
     /// The increment of a row does not follow the row's own noise, in slow and in fast stretches: else a lag would average the
     /// reference's noise. The choice of the windows follows the noise and leaves a share for large delays, of 0.025 for 20 ms; nine
-    /// rows everywhere would leave 0.09 without the correction. A low pass of 30 ms has 0.033.
+    /// rows everywhere would leave (39 - 59) / 231 = -0.09 without the correction. A low pass of 30 ms has 0.033.
     #[test]
     fn increment_excludes_the_noise_of_its_own_row() {
         let time_s: Vec<f64> = (0..6000).map(|i| f64::from(i) * 0.01).collect();

@@ -141,7 +141,7 @@ fn plot_range_ends_at_a_round_number_above_all_values() {
     }
 }
 
-/// A terminal beside an editor: forces, their errors and validity stay; what else fits stays too.
+/// Forces, their errors and validity stay; what else fits stays too.
 #[test]
 fn a_narrow_terminal_shows_the_forces() {
     let state = pressed();
